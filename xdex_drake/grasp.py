@@ -1,0 +1,119 @@
+"""The grasp value: what is stored, shown, simulated and learned."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A point where the hand touches the object.
+
+    Attributes:
+        link: Name of the hand's link.
+        p_OC: Contact point in the object frame [m], shape (3,).
+        n_OC: Unit normal in the object frame, pointing into the object, shape (3,).
+        mu: Coefficient of friction.
+        f_C: Force on the object in the contact frame, whose z axis is the normal [N], shape (3,).
+    """
+
+    link: str
+    p_OC: Array
+    n_OC: Array
+    mu: float
+    f_C: Array
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Forces and numbers that prove a grasp, to be checked again without a solver (`contact.check_certificate`).
+
+    Attributes:
+        contacts: The contacts with their forces.
+        R_WO: Rotation of the object in W, shape (3, 3): gravity is -z of W.
+        p_OOcm: Center of mass in the object frame [m], shape (3,).
+        mass: Mass of the object [kg].
+        length: Length that divides torques, lambda [m].
+        wrench_residual: Norm of the unbalanced wrench, torque divided by `length`, divided by m g.
+        task_margin: Greatest multiple of the stated disturbances that the grasp resists within its efforts.
+        margin_lower: Certified lower bound of the ball margin.
+        margin_upper: Certified upper bound of the ball margin.
+        witness_forces: Forces f_C that attain `margin_lower` along +-each axis of the wrench space, shape (12, 3 nc).
+        witness_direction: Unit wrench direction that attains `margin_upper`, torque first, shape (6,).
+    """
+
+    contacts: tuple[Contact, ...]
+    R_WO: Array
+    p_OOcm: Array
+    mass: float
+    length: float
+    wrench_residual: float
+    task_margin: float
+    margin_lower: float
+    margin_upper: float
+    witness_forces: Array = field(default_factory=lambda: np.zeros((12, 0)))
+    witness_direction: Array = field(default_factory=lambda: np.zeros(6))
+
+
+@dataclass(frozen=True)
+class Lift:
+    """What a simulated lift showed.
+
+    Attributes:
+        protocol: Name of the protocol, `lift-0.2/2tips`.
+        success: Whether the protocol's rule was met.
+        failure_reason: The first reason that matches, empty where it succeeded.
+        lift_height_m: Final rise of the object's center of mass [m].
+        fingertips: Names of the fingers whose tip touched at the end.
+        seconds: Wall time of the simulation.
+    """
+
+    protocol: str
+    success: bool
+    failure_reason: str
+    lift_height_m: float
+    fingertips: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A grasp of one object by one hand, in one scene.
+
+    Attributes:
+        hand: Name of the hand.
+        object: Name of the object.
+        X_WO: Pose of the object in W.
+        X_WH: Pose of the wrist frame in W.
+        q: Actuated joint values, in the order of `hand.joint_names` [rad or m], shape (n,).
+        certificate: Proof of the grasp, None where there is none.
+        X_WH_pregrasp: Wrist pose of the pre-grasp, None where it has not been computed.
+        q_pregrasp: Joint values of the pre-grasp, None where it has not been computed.
+        q_squeeze: Joint targets that apply the certificate's forces, None where they have not been computed.
+        lift: The result of simulation, None where it has not been simulated.
+        grasp_id: Identifier, unique in a data set.
+        source_grasp_id: Identifier of the grasp that this one was retargeted from, empty for a source grasp.
+        penetration_parts_m: Depth of the deepest object point in the hand, against the convex parts [m].
+        penetration_mesh_m: The same against the mesh [m].
+        seconds: Wall time spent on this grasp, without the lift.
+    """
+
+    hand: str
+    object: str
+    X_WO: RigidTransform
+    X_WH: RigidTransform
+    q: Array
+    certificate: Certificate | None = None
+    X_WH_pregrasp: RigidTransform | None = None
+    q_pregrasp: Array | None = None
+    q_squeeze: Array | None = None
+    lift: Lift | None = None
+    grasp_id: str = ""
+    source_grasp_id: str = ""
+    penetration_parts_m: float = float("nan")
+    penetration_mesh_m: float = float("nan")
+    seconds: float = 0.0
