@@ -1,0 +1,242 @@
+"""Convex decomposition of a mesh, cached: the shape that is simulated, touched and kept clear of."""
+
+import hashlib
+import logging
+import os
+import tempfile
+import time
+import zipfile
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import coacd
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from xdex_drake.errors import ObjectFileError
+from xdex_drake.scene.distance import ExactDistance, Part, sample_surface, union_surface
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+_log = logging.getLogger(__name__)
+
+RECIPE = 1  # Raise whenever the way from a mesh to its parts changes: it is part of the cache's key.
+HULL_VERTICES = 64
+
+
+@dataclass(frozen=True)
+class ConvexParts:
+    """A mesh as a union of convex bodies.
+
+    Attributes:
+        parts: Vertices (n, 3) [m] and outward faces (m, 3) of each part, in the mesh's frame.
+        surface: Vertices (n, 3) [m] and outward faces (m, 3) of their union.
+        bulge_p99_m: 99th percentile over the union's surface of the distance by which it stands outside the mesh [m].
+        gap_p99_m: 99th percentile over the mesh's surface of the distance by which it stands outside the union [m].
+        seconds: Time that it took to compute [s]; that of the first time where it comes from the cache.
+        cached: Whether it comes from the cache.
+    """
+
+    parts: tuple[Part, ...]
+    surface: Part
+    bulge_p99_m: float
+    gap_p99_m: float
+    seconds: float
+    cached: bool
+
+
+def cache_folder() -> Path:
+    """Folder of the results that are kept between runs: XDEX_CACHE, or `xdex_drake` in the user's cache folder."""
+    if folder := os.environ.get("XDEX_CACHE"):
+        return Path(folder)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xdex_drake"
+
+
+def mesh_digest(vertices: Array, faces: Faces) -> str:
+    """Fingerprint of a mesh: SHA-256 of its vertices in whole nanometres and of its faces.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Vertex indices, shape (m, 3).
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    sha = hashlib.sha256(np.rint(np.asarray(vertices) * 1e9).astype("<i8").tobytes())
+    sha.update(np.asarray(faces).astype("<i8").tobytes())
+    return sha.hexdigest()
+
+
+def convex_parts(vertices: Array, faces: Faces) -> ConvexParts:
+    """Splits a mesh into convex parts, or reads them from the cache.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+
+    Returns:
+        The parts, their union and how well it fits the mesh.
+
+    Raises:
+        ObjectFileError: The mesh cannot be decomposed.
+    """
+    file = cache_folder() / f"parts-{RECIPE}-{version('coacd')}-{mesh_digest(vertices, faces)[:32]}.npz"
+    if (arrays := read_cache(file)) is not None:
+        try:
+            return _from_arrays(arrays)
+        except (KeyError, ValueError, IndexError):
+            _log.warning("%s is damaged and is computed again", file)
+    start = time.perf_counter()
+    parts = _decompose(vertices, faces)
+    surface = union_surface(parts)
+    bulge, gap = fit(vertices, faces, parts, surface)
+    result = ConvexParts(parts, surface, bulge, gap, time.perf_counter() - start, False)
+    write_cache(file, _to_arrays(result))
+    return result
+
+
+def _decompose(vertices: Array, faces: Faces) -> tuple[Part, ...]:
+    hull = convex_hull(vertices)
+    if fit(vertices, faces, [hull], hull)[0] <= 0.5e-3:
+        return (hull,)
+    coacd.set_log_level("error")
+    pieces = coacd.run_coacd(
+        coacd.Mesh(vertices, faces),
+        threshold=0.05,
+        mcts_iterations=20,
+        mcts_max_depth=2,
+        mcts_nodes=10,
+        resolution=1000,
+        seed=1,
+    )
+    return tuple(convex_hull(np.asarray(points)) for points, _ in pieces)
+
+
+def convex_hull(points: Array, *, limit: int = HULL_VERTICES, tolerance: float = 5e-5) -> Part:
+    """A convex hull of few vertices: the points that matter most, taken greedily from the farthest.
+
+    Args:
+        points: Points [m], shape (n, 3).
+        limit: Greatest number of vertices.
+        tolerance: No vertex is added once all points lie within this distance of the hull [m].
+
+    Returns:
+        Vertices (m, 3) and outward faces (k, 3).
+
+    Raises:
+        ObjectFileError: The points lie in a plane.
+    """
+    try:
+        points = np.asarray(points, dtype=np.float64)
+        points = points[ConvexHull(points).vertices]
+        chosen = _tetrahedron(points)
+        hull = ConvexHull(points[chosen])
+        while len(chosen) < min(limit, len(points)):
+            excess = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+            worst = int(excess.argmax())
+            if excess[worst] <= tolerance:
+                break
+            chosen.append(worst)
+            hull = ConvexHull(points[chosen])
+        points = points[chosen]
+        points = points[ConvexHull(points).vertices]
+        hull = ConvexHull(points)
+    except QhullError:
+        raise ObjectFileError("is flat, or a part of it is; give the object a thickness") from None
+    faces = hull.simplices.astype(np.int64)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return np.ascontiguousarray(points), faces
+
+
+def _tetrahedron(points: Array) -> list[int]:
+    """Four corners of a point set that span a large tetrahedron."""
+    first = int(points[:, 0].argmin())
+    offset = points - points[first]
+    second = int((offset**2).sum(axis=1).argmax())
+    axis = offset[second] / np.linalg.norm(offset[second])
+    third = int(((offset - np.outer(offset @ axis, axis)) ** 2).sum(axis=1).argmax())
+    fourth = int(np.abs(offset @ np.cross(axis, offset[third])).argmax())
+    return [first, second, third, fourth]
+
+
+def fit(vertices: Array, faces: Faces, parts: list[Part] | tuple[Part, ...], surface: Part) -> tuple[float, float]:
+    """How far the parts stand out of a mesh, and the mesh out of the parts.
+
+    Args:
+        vertices: Vertices of the mesh [m], shape (n, 3).
+        faces: Faces of the mesh, shape (m, 3).
+        parts: The convex parts.
+        surface: The surface of their union.
+
+    Returns:
+        99th percentiles of the two distances over 8000 surface points each [m].
+    """
+    mesh, union = ExactDistance(vertices, faces), ExactDistance(*surface, parts=parts)
+    out = mesh.query(sample_surface(*surface, 8000, 0)[0]).distance
+    missing = union.query(sample_surface(vertices, faces, 8000, 0)[0]).distance
+    return float(np.percentile(out.clip(0.0), 99)), float(np.percentile(missing.clip(0.0), 99))
+
+
+def _to_arrays(result: ConvexParts) -> dict[str, NDArray]:
+    return {
+        "part_vertices": np.concatenate([v for v, _ in result.parts]),
+        "part_faces": np.concatenate([f for _, f in result.parts]),
+        "counts": np.array([(len(v), len(f)) for v, f in result.parts]),
+        "surface_vertices": result.surface[0],
+        "surface_faces": result.surface[1],
+        "figures": np.array([result.bulge_p99_m, result.gap_p99_m, result.seconds]),
+    }
+
+
+def _from_arrays(arrays: dict[str, NDArray]) -> ConvexParts:
+    ends = arrays["counts"].cumsum(axis=0)[:-1]
+    parts = zip(np.split(arrays["part_vertices"], ends[:, 0]), np.split(arrays["part_faces"], ends[:, 1]), strict=True)
+    bulge, gap, seconds = (float(x) for x in arrays["figures"])
+    surface = (arrays["surface_vertices"], arrays["surface_faces"])
+    return ConvexParts(tuple(parts), surface, bulge, gap, seconds, True)
+
+
+def read_cache(file: Path) -> dict[str, NDArray] | None:
+    """Reads a cached file of arrays; a damaged file counts as absent.
+
+    Args:
+        file: File in the cache folder.
+
+    Returns:
+        The arrays, or None.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        _log.warning("%s is damaged and is computed again", file)
+        return None
+
+
+def write_cache(file: Path, arrays: dict[str, NDArray]) -> None:
+    """Writes a cached file of arrays, so that other processes see the whole file or none.
+
+    A folder that cannot be written to costs time in the next run, no more.
+
+    Args:
+        file: File in the cache folder.
+        arrays: Arrays to keep.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".", suffix=".npz")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.savez_compressed(stream, **arrays)  # pyright: ignore[reportArgumentType]
+            os.replace(temporary, file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        _log.warning("cannot write the cache file %s: %s", file, error)

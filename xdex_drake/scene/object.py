@@ -1,0 +1,215 @@
+"""The object value: a mesh, its convex parts, its distance, its mass."""
+
+import difflib
+import logging
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from xdex_drake.errors import ObjectFileError, UnknownObject
+from xdex_drake.scene.convex_parts import (
+    RECIPE,
+    cache_folder,
+    convex_parts,
+    mesh_digest,
+    read_cache,
+    write_cache,
+)
+from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
+from xdex_drake.scene.mesh import clean_mesh, read_mesh
+from xdex_drake.scene.procedural import list_objects, procedural_mesh
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+_log = logging.getLogger(__name__)
+
+DEFAULT_MASS = 0.1
+DEFAULT_FRICTION = 0.6
+
+
+@dataclass(frozen=True)
+class PreparationReport:
+    """What preparing an object did and how good the result is.
+
+    Attributes:
+        seconds: Time of the convex decomposition [s]; that of the first time where it comes from the cache.
+        cached: Whether the parts come from the cache.
+        parts: Number of convex parts.
+        bulge_p99_m: 99th percentile of the distance by which the parts stand out of the mesh [m].
+        gap_p99_m: 99th percentile of the distance by which the mesh stands out of the parts [m].
+        repairs: What was changed in the mesh, in words.
+        watertight: Whether the mesh is closed.
+        inertia_source: `mesh`, or `parts` where the mesh is not closed and the volume of the parts is taken.
+    """
+
+    seconds: float
+    cached: bool
+    parts: int
+    bulge_p99_m: float
+    gap_p99_m: float
+    repairs: tuple[str, ...]
+    watertight: bool
+    inertia_source: str
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid object, in its own frame O: that of the mesh file, scaled.
+
+    Attributes:
+        name: Name.
+        path: The mesh file, None for a shape of the library.
+        vertices: Vertices of the mesh [m], shape (n, 3).
+        faces: Outward triangles of the mesh, shape (m, 3).
+        parts: Convex parts: vertices (n, 3) [m] and outward faces (m, 3) of each.
+        surface: Vertices (n, 3) [m] and outward faces (m, 3) of the union of the parts: the surface of contacts.
+        mass: Mass [kg].
+        p_OOcm: Center of mass [m], shape (3,).
+        I_OcmO: Rotational inertia about the center of mass, in O [kg m^2], shape (3, 3); uniform density.
+        friction: Coefficient of friction.
+        scale: Factor from the mesh file's unit to metres.
+        length: Length that divides torques [m]: root mean square distance of the surface from the center of mass.
+        digest: SHA-256 of the scaled mesh.
+        report: How the object was prepared.
+    """
+
+    name: str
+    path: Path | None
+    vertices: Array = field(repr=False)
+    faces: Faces = field(repr=False)
+    parts: tuple[Part, ...] = field(repr=False)
+    surface: Part = field(repr=False)
+    mass: float
+    p_OOcm: Array
+    I_OcmO: Array = field(repr=False)
+    friction: float
+    scale: float
+    length: float
+    digest: str
+    report: PreparationReport
+
+    @cached_property
+    def exact(self) -> ExactDistance:
+        """Exact signed distance to the union of the convex parts."""
+        return ExactDistance(*self.surface, parts=self.parts)
+
+    @cached_property
+    def mesh_distance(self) -> ExactDistance:
+        """Exact signed distance to the mesh itself; the sign by winding number."""
+        return ExactDistance(self.vertices, self.faces)
+
+    @cached_property
+    def grid(self) -> DistanceGrid:
+        """Signed distance to the union of the convex parts on a grid, kept in the cache."""
+        digest = mesh_digest(*self.surface)
+        file = cache_folder() / f"grid-{RECIPE}-{digest[:32]}.npz"
+        if (arrays := read_cache(file)) is not None:
+            try:
+                values, gradients = arrays["values"], arrays["gradients"]
+                if gradients.shape == (*values.shape, 3) and values.ndim == 3:
+                    return DistanceGrid(values, gradients, arrays["origin"], float(arrays["spacing"]))
+            except (KeyError, ValueError, TypeError):
+                pass
+            _log.warning("%s is damaged and is computed again", file)
+        grid = build_grid(self.exact)
+        arrays = {"values": grid.values, "gradients": grid.gradients, "origin": grid.origin}
+        write_cache(file, arrays | {"spacing": np.array(grid.spacing)})
+        return grid
+
+    def surface_samples(self, n: int, seed: int = 0) -> tuple[Array, Array]:
+        """Points spread evenly at random over the union of the convex parts.
+
+        Args:
+            n: Number of points.
+            seed: Seed of the sampling.
+
+        Returns:
+            Points in O [m], shape (n, 3), and unit normals out of the object, shape (n, 3).
+        """
+        points, face = sample_surface(*self.surface, n, seed)
+        return points, self.exact.normals[face]
+
+
+def load_object(
+    name_or_path: str | Path, *, scale: float = 1.0, mass: float = DEFAULT_MASS, friction: float = DEFAULT_FRICTION
+) -> ObjectModel:
+    """Prepares an object: a shape of the library or any mesh file.
+
+    Args:
+        name_or_path: One of `list_objects()`, or the path of a mesh file.
+        scale: Factor from the mesh file's unit to metres.
+        mass: Mass [kg].
+        friction: Coefficient of friction.
+
+    Returns:
+        The object, with its convex parts.
+
+    Raises:
+        UnknownObject: The library has no such shape.
+        ObjectFileError: The mesh file or a number cannot be used.
+    """
+    for label, value in (("scale", scale), ("mass", mass)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ObjectFileError(f"{name_or_path}: {label} is {value}; give a finite number greater than zero")
+    if not (math.isfinite(friction) and friction >= 0.0):
+        raise ObjectFileError(f"{name_or_path}: friction is {friction}; give a finite number, zero or greater")
+    text, path = str(name_or_path), None
+    if isinstance(name_or_path, str) and text in list_objects():
+        vertices, faces = procedural_mesh(text)
+        mesh, name = clean_mesh(vertices * scale, faces), text
+    elif isinstance(name_or_path, str) and "/" not in text and "\\" not in text and not Path(text).suffix:
+        known = list_objects()
+        close = difflib.get_close_matches(text, known, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
+        raise UnknownObject(f"no object is named {text!r}; {hint} (a mesh is given by the path of its file)")
+    else:
+        path = Path(name_or_path)
+        mesh, name = read_mesh(path, scale=scale), path.stem
+    try:
+        convex = convex_parts(mesh.vertices, mesh.faces)
+    except ObjectFileError as error:
+        raise ObjectFileError(f"{name_or_path}: {error}") from None
+    body, source = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), "mesh"
+    if not (mesh.watertight and body.volume > 0.0):
+        body, source = trimesh.Trimesh(*convex.surface, process=False), "parts"
+    properties = body.mass_properties
+    p_OOcm = np.asarray(properties.center_mass, dtype=np.float64)
+    report = PreparationReport(
+        seconds=convex.seconds,
+        cached=convex.cached,
+        parts=len(convex.parts),
+        bulge_p99_m=convex.bulge_p99_m,
+        gap_p99_m=convex.gap_p99_m,
+        repairs=mesh.repairs,
+        watertight=mesh.watertight,
+        inertia_source=source,
+    )
+    return ObjectModel(
+        name=name,
+        path=path,
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        parts=convex.parts,
+        surface=convex.surface,
+        mass=mass,
+        p_OOcm=p_OOcm,
+        I_OcmO=np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass),
+        friction=friction,
+        scale=scale,
+        length=_surface_radius(*convex.surface, p_OOcm),
+        digest=mesh_digest(mesh.vertices, mesh.faces),
+        report=report,
+    )
+
+
+def _surface_radius(vertices: Array, faces: Faces, center: Array) -> float:
+    """Root mean square distance of a surface from a point, integrated exactly over its triangles."""
+    corners = vertices[faces] - center
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    square = ((corners**2).sum(axis=(1, 2)) + (corners.sum(axis=1) ** 2).sum(axis=1)) / 12.0
+    return float(math.sqrt((area * square).sum() / area.sum()))
