@@ -1,0 +1,157 @@
+"""Spheres that stand for a link's geometry in the terms of a grasp program.
+
+A capsule is swept by a sphere, so spheres along its axis miss its surface by the scallop between two of them alone. A
+box or a convex hull is covered from inside by a greedy choice: each sphere bulges out of a face by a stated amount, and
+the one that covers most of the surface left comes first.
+"""
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
+
+SCALLOP = 4e-4
+"""Greatest depth of the groove between neighboring spheres of a capsule [m], where the number of spheres allows it."""
+
+MAX_PER_CAPSULE = 12
+"""Greatest number of spheres of one capsule."""
+
+BULGE = 2.8e-3
+"""How far a sphere of a box or hull reaches beyond its surface [m]."""
+
+REACH = 2.8e-3
+"""Distance from a sphere at which a point of a box or hull counts as covered [m]."""
+
+CANDIDATES = 700
+"""Number of candidate centers in a box or hull, roughly."""
+
+MAX_PER_SOLID = 36
+"""Greatest number of spheres of one box or hull."""
+
+
+def fit_spheres(geometry: tuple[Geometry, ...]) -> Array:
+    """Spheres that approximate a link's geometry.
+
+    Spheres of a capsule have its radius, lie on its axis and include both ends. Spheres of a box or hull bulge by at
+    most `BULGE`; together they come within `REACH` of nearly all of its surface. The result depends on the input alone.
+
+    Args:
+        geometry: Primitives in L.
+
+    Returns:
+        Rows (x, y, z, radius) in L [m], shape (n, 4); shape (0, 4) for a link without geometry.
+    """
+    rows = [_spheres_of(k, geometry) for k in range(len(geometry))]
+    return np.concatenate(rows) if rows else np.zeros((0, 4))
+
+
+def _spheres_of(k: int, geometry: tuple[Geometry, ...]) -> Array:
+    shape = geometry[k]
+    if isinstance(shape, Sphere):
+        return np.array([[*shape.center, shape.radius]])
+    if isinstance(shape, Capsule):
+        return _spheres_of_capsule(shape)
+    others = geometry[:k] + geometry[k + 1 :]
+    return _spheres_of_solid(shape, others)
+
+
+def _spheres_of_capsule(capsule: Capsule) -> Array:
+    length = float(np.linalg.norm(capsule.p1 - capsule.p0))
+    scallop = min(SCALLOP, capsule.radius)
+    spacing = 2.0 * np.sqrt(2.0 * capsule.radius * scallop - scallop**2)
+    count = min(MAX_PER_CAPSULE, int(np.ceil(length / spacing - 1e-9)) + 1)
+    s = np.linspace(0.0, 1.0, count)[:, None]
+    centers = capsule.p0 + s * (capsule.p1 - capsule.p0)
+    return np.column_stack([centers, np.full(count, capsule.radius)])
+
+
+def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Array:
+    """Greedy cover of the surface by spheres whose centers lie inside."""
+    normals, offsets, corners = half_spaces(solid)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    # A grid of candidate centers, about `CANDIDATES` in number, and points on the surface at the same spacing.
+    step = float(np.prod(high - low) / CANDIDATES) ** (1 / 3)
+    axes = [np.linspace(a, b, max(3, round((b - a) / step) + 1)) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    depth = (offsets - grid @ normals.T).min(axis=1)
+    inside = depth > 0.0
+    centers, radii = grid[inside], depth[inside] + BULGE
+    points = _surface_points(corners, normals, offsets, spacing=step)
+    for other in others:
+        points = points[signed_distance(other, points) > 0.0]
+    if len(points) == 0 or len(centers) == 0:
+        center = corners.mean(axis=0)
+        return np.array([[*center, float(np.min(offsets - normals @ center))]])
+    gaps = np.linalg.norm(points[None] - centers[:, None], axis=-1) - radii[:, None]
+    covers = gaps <= REACH
+    # Ties, of which a regular grid has many, go to the sphere that comes nearest to the points it covers.
+    score = 1e-3 * np.clip(REACH - gaps, 0.0, 2.0 * REACH) / REACH
+    chosen: list[int] = []
+    worth = covers * (1.0 + score)
+    left = np.ones(len(points), dtype=bool)
+    while left.sum() > 0.01 * len(points) and len(chosen) < MAX_PER_SOLID:
+        gain = worth @ left
+        best = int(np.argmax(gain))
+        if gain[best] == 0.0:
+            break
+        chosen.append(best)
+        left &= ~covers[best]
+    return np.column_stack([centers[chosen], radii[chosen]])
+
+
+def half_spaces(solid: Box | Convex) -> tuple[Array, Array, Array]:
+    """A box or hull as {p: normals p <= offsets}, with its corners.
+
+    Args:
+        solid: The solid, in L.
+
+    Returns:
+        Outward unit normals, shape (n, 3); offsets [m], shape (n,); corners in L [m], shape (m, 3).
+    """
+    if isinstance(solid, Box):
+        normals = np.concatenate([solid.R_LG.T, -solid.R_LG.T])
+        offsets = normals @ solid.p_LG + np.tile(0.5 * solid.size, 2)
+        signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
+        return normals, offsets, solid.p_LG + (signs * solid.size) @ solid.R_LG.T
+    hull = ConvexHull(solid.vertices)
+    return hull.equations[:, :3], -hull.equations[:, 3], solid.vertices[hull.vertices]
+
+
+def _surface_points(corners: Array, normals: Array, offsets: Array, *, spacing: float) -> Array:
+    """Points on the surface of a hull, about `spacing` apart, shape (n, 3)."""
+    hull = ConvexHull(corners)
+    points = [corners]
+    for triangle in corners[hull.simplices]:
+        a, b, c = triangle
+        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
+        n = max(1, int(np.ceil(longest / spacing)))
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+        keep = i + j <= n
+        u, v = i[keep] / n, j[keep] / n
+        points.append(a + np.outer(u, b - a) + np.outer(v, c - a))
+    return np.concatenate(points)
+
+
+def signed_distance(shape: Geometry, points: Array) -> Array:
+    """Signed distance of points to one primitive, negative inside.
+
+    Outside of a box it is exact; outside of a hull it is a lower bound near edges (the greatest face distance).
+
+    Args:
+        shape: The primitive, in L.
+        points: Points in L [m], shape (n, 3).
+
+    Returns:
+        Distances [m], shape (n,).
+    """
+    if isinstance(shape, Sphere):
+        return np.linalg.norm(points - shape.center, axis=1) - shape.radius
+    if isinstance(shape, Capsule):
+        d = shape.p1 - shape.p0
+        s = np.clip((points - shape.p0) @ d / max(float(d @ d), 1e-18), 0.0, 1.0)
+        return np.linalg.norm(points - shape.p0 - s[:, None] * d, axis=1) - shape.radius
+    if isinstance(shape, Box):
+        q = np.abs((points - shape.p_LG) @ shape.R_LG) - 0.5 * shape.size
+        return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
+    normals, offsets, _ = half_spaces(shape)
+    return (points @ normals.T - offsets).max(axis=1)
