@@ -8,7 +8,11 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContactApproximation
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.object import ObjectModel
 
 Array = NDArray[np.float64]
@@ -50,6 +54,10 @@ def make_scene(object: ObjectModel, *, seed: int = 0, pose: RigidTransform | Non
 def stable_pose(object: ObjectModel, *, seed: int = 0) -> RigidTransform:
     """A pose at which an object rests on the table, its center of mass above the origin.
 
+    The poses that are stable on a facet of the convex hull come with their probabilities (trimesh, after Goldberg et al.
+    1999). A short simulation then lets the object settle until it moves slower than 2 mm/s and 0.05 rad/s for 0.1 s,
+    or for at most 2 s; it is turned to a random yaw and laid down so that its lowest point is at z = 0.
+
     Args:
         object: The object.
         seed: 0 takes the most probable pose; others draw one by its probability. The yaw is drawn too.
@@ -58,16 +66,45 @@ def stable_pose(object: ObjectModel, *, seed: int = 0) -> RigidTransform:
         X_WO.
     """
     rng = np.random.default_rng([seed, int(object.digest[:8], 16)])
-    points = np.concatenate([vertices for vertices, _ in object.parts])
-    hull = trimesh.Trimesh(points, process=False).convex_hull
+    hull = trimesh.Trimesh(_points(object), process=False).convex_hull
     poses, probabilities = trimesh.poses.compute_stable_poses(hull, center_mass=object.p_OOcm, sigma=0.0, n_samples=1)
     pick = 0 if seed == 0 else int(rng.choice(len(poses), p=probabilities / probabilities.sum()))
-    R_WO = RotationMatrix.MakeZRotation(rng.uniform(-math.pi, math.pi)) @ RotationMatrix.ProjectToRotationMatrix(
-        poses[pick][:3, :3]
-    )
-    p_WO = -(R_WO @ object.p_OOcm)
-    p_WO[2] = -(points @ R_WO.matrix()[2]).min()
+    R_WO = RotationMatrix.ProjectToRotationMatrix(poses[pick][:3, :3])
+    yaw = RotationMatrix.MakeZRotation(rng.uniform(-math.pi, math.pi))
+    return _lay_down(object, yaw @ _settle(object, _lay_down(object, R_WO)).rotation())
+
+
+def _points(object: ObjectModel) -> Array:
+    return np.concatenate([vertices for vertices, _ in object.parts])
+
+
+def _lay_down(object: ObjectModel, R_WO: RotationMatrix) -> RigidTransform:
+    """Pose with a given rotation, center of mass over the origin, lowest point on the table."""
+    p_WO = -(R_WO.matrix() @ object.p_OOcm)
+    p_WO[2] = -(_points(object) @ R_WO.matrix()[2]).min()
     return RigidTransform(R_WO, p_WO)
+
+
+def _settle(object: ObjectModel, X_WO: RigidTransform) -> RigidTransform:
+    """Pose of an object after it has come to rest on the table."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.005)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
+    body = add_object(plant, object)
+    add_table(plant, object.friction)
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetFreeBodyPose(context, body, X_WO)
+    still = 0
+    for k in range(80):
+        simulator.AdvanceTo(0.025 * (k + 1))
+        V_WO = plant.EvalBodySpatialVelocityInWorld(context, body)
+        slow = np.linalg.norm(V_WO.translational()) < 2e-3 and np.linalg.norm(V_WO.rotational()) < 0.05
+        still = still + 1 if slow else 0
+        if still == 4:
+            break
+    return plant.EvalBodyPoseInWorld(context, body)
 
 
 def point_cloud(scene: Scene, n: int, seed: int = 0, *, in_world: bool = True) -> tuple[Array, Array]:
