@@ -1,0 +1,135 @@
+"""An incremental convex hull for cutting planes in a few dimensions, in NumPy.
+
+Qhull's incremental mode gives up (and can end the process) on the nearly coplanar points that friction cones produce.
+Here a point on the plane of a facet, to rounding, simply does not see it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+Array = NDArray[np.float64]
+
+_EPSILON = 1e-11
+_KEY_BITS = 12  # bits of a vertex index in the key of a ridge: at most 4096 points, at most 6 dimensions
+
+
+class GrowingHull:
+    """Convex hull of points that are added one after the other (beneath-beyond, simplicial facets).
+
+    Attributes:
+        points: The points, shape (capacity, d); the first `count` are valid.
+        count: Number of points.
+        planes: Facets n . x = b as rows (n, -b), |n| = 1, n outward, shape (capacity, d + 1).
+        offsets: Distances b of the facets' planes from 0, negative where 0 is outside; inf for dead facets.
+        vertices: Indices of each facet's points, ascending, shape (capacity, d).
+        size: Number of facet rows in use, dead ones among them.
+    """
+
+    def __init__(self, points: Array) -> None:
+        """Start with the d + 1 most independent of the given points.
+
+        Args:
+            points: Candidates, shape (m, d).
+
+        Raises:
+            ValueError: The points do not span d dimensions.
+        """
+        d = points.shape[1]
+        first = int(np.argmax((points * points).sum(axis=1)))
+        _, R, order = qr((points - points[first]).T, mode="economic", pivoting=True)  # pyright: ignore
+        if len(points) <= d or abs(R[d - 1, d - 1]) < 1e-9 * abs(R[0, 0]):
+            raise ValueError("the points do not span the space")
+        self.start = np.concatenate([[first], order[:d]])
+        capacity = 512
+        self.points = np.zeros((256, d))
+        self.points[: d + 1] = points[self.start]
+        self.count, self.size = d + 1, d + 1
+        self.planes = np.zeros((capacity, d + 1))
+        self.offsets = np.full(capacity, np.inf)
+        self.vertices = np.zeros((capacity, d), dtype=np.int64)
+        self.neighbors = np.zeros((capacity, d), dtype=np.int64)  # facet beyond the ridge opposite vertex j
+        all_rows = np.arange(d + 1)
+        center = self.points[: d + 1].mean(axis=0)
+        for i in all_rows:
+            others = np.delete(all_rows, i)
+            n = np.linalg.solve(self.points[others] - center, np.ones(d))
+            n /= np.linalg.norm(n)
+            b = float((self.points[others] @ n).mean())
+            self.planes[i] = np.append(n, -b)
+            self.vertices[i] = self.neighbors[i] = others
+            self.offsets[i] = b
+
+    def add(self, point: Array) -> bool:
+        """Add a point.
+
+        Args:
+            point: The point, shape (d,).
+
+        Returns:
+            Whether the hull grew; False where the point is inside, or on a facet to rounding.
+        """
+        d, size = len(point), self.size
+        height = self.planes[:size, :d] @ point + self.planes[:size, d]
+        visible = (height > _EPSILON) & np.isfinite(self.offsets[:size])
+        seen = np.flatnonzero(visible)
+        if len(seen) == 0:
+            return False
+        # Horizon ridges: between a visible facet and a hidden one.
+        row, slot = np.nonzero(~visible[self.neighbors[seen]])
+        inner, outer = seen[row], self.neighbors[seen[row], slot]
+        m = len(row)
+        keep = np.arange(d - 1) + (np.arange(d - 1) >= slot[:, None])  # the ridge's columns
+        ridges = np.take_along_axis(self.vertices[inner], keep, axis=1)  # (m, d - 1)
+        # Pair up the new facets over the ridges that contain the new point: d - 1 keys each, each key twice.
+        digits = np.int64(1) << (_KEY_BITS * np.arange(d - 2, dtype=np.int64))
+        keys = np.empty((m, d - 1), dtype=np.int64)
+        for j in range(d - 1):
+            keys[:, j] = np.delete(ridges, j, axis=1) @ digits
+        order = np.argsort(keys, axis=None)
+        ranked = keys.ravel()[order].reshape(-1, 2) if keys.size % 2 == 0 else None
+        if ranked is None or np.any(ranked[:, 0] != ranked[:, 1]) or np.any(ranked[1:, 0] == ranked[:-1, 0]):
+            return False  # rounding broke the horizon: leave the point out, the hull stays a valid inner one
+        self._reserve(m)
+        new = np.arange(size, size + m)
+        # The plane through ridge and point is a nonnegative combination of the ridge's two planes.
+        up, down = height[inner][:, None], np.minimum(height[outer], 0.0)[:, None]
+        planes = up * self.planes[outer] - down * self.planes[inner]
+        planes /= np.sqrt((planes[:, :d] ** 2).sum(axis=1))[:, None]
+        self.planes[new], self.offsets[new] = planes, -planes[:, d]
+        self.vertices[new, : d - 1], self.vertices[new, d - 1] = ridges, self.count
+        self.neighbors[new, d - 1] = outer
+        first, second = order[0::2], order[1::2]
+        self.neighbors[size + first // (d - 1), first % (d - 1)] = size + second // (d - 1)
+        self.neighbors[size + second // (d - 1), second % (d - 1)] = size + first // (d - 1)
+        self.neighbors[outer, (self.neighbors[outer] == inner[:, None]).argmax(axis=1)] = new
+        self.offsets[seen] = np.inf
+        self.points[self.count] = point
+        self.count, self.size = self.count + 1, size + m
+        return True
+
+    def nearest(self) -> int:
+        """Index of the facet whose plane has the least offset from 0."""
+        return int(self.offsets[: self.size].argmin())
+
+    def facet_along(self, direction: Array) -> int:
+        """Index of the facet through which a ray from 0 leaves the hull, 0 being inside.
+
+        Args:
+            direction: Direction of the ray, shape (d,).
+        """
+        along = self.planes[: self.size, :-1] @ direction
+        reach = np.where(along > 1e-12, self.offsets[: self.size] / np.maximum(along, 1e-12), np.inf)
+        return int(reach.argmin())
+
+    def _reserve(self, m: int) -> None:
+        """Make room for m facets and one point."""
+        if self.size + m > len(self.planes):
+            extra = max(len(self.planes), m)
+            d = self.vertices.shape[1]
+            self.planes = np.vstack([self.planes, np.zeros((extra, d + 1))])
+            self.offsets = np.append(self.offsets, np.full(extra, np.inf))
+            self.vertices = np.vstack([self.vertices, np.zeros((extra, d), dtype=np.int64)])
+            self.neighbors = np.vstack([self.neighbors, np.zeros((extra, d), dtype=np.int64)])
+        if self.count == len(self.points):
+            self.points = np.vstack([self.points, np.zeros_like(self.points)])

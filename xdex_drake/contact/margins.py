@@ -1,0 +1,331 @@
+"""Margins and qualities of a grasp: how much more than gravity it resists."""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
+from scipy.sparse import csc_matrix
+from scipy.spatial import ConvexHull, QhullError
+
+from xdex_drake.contact.cones import cone_edges
+from xdex_drake.contact.conic import (
+    CLARABEL,
+    REASONS,
+    check_effort,
+    check_grasp,
+    conic,
+    constraint_rows,
+    diagonal,
+    pattern,
+    polish,
+    program_cones,
+    solver_settings,
+    solver_status,
+    torque_scaling,
+)
+from xdex_drake.contact.hull import GrowingHull
+from xdex_drake.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TaskMargin:
+    """How much of the stated disturbances a grasp resists beside gravity.
+
+    Attributes:
+        status: "solved", "infeasible" (gravity itself is not held) or "failed".
+        margin: Greatest s such that s times each disturbance is held, 0 unless solved, at most the cap.
+        margins: The same for each disturbance by itself, shape (k,).
+        forces: Forces that hold gravity and margins[k] times disturbance k [N], shape (k, 3 n).
+        residual: Greatest norm of an unbalanced wrench, torque divided by length, divided by that of gravity.
+        reason: Why there is no margin; empty where solved.
+        solver: Name and version of the solver.
+        seconds: Wall time, with building.
+    """
+
+    status: str
+    margin: float
+    margins: Array
+    forces: Array
+    residual: float
+    reason: str
+    solver: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class BallMargin:
+    """Bracket of the largest ball of wrenches that a unit sum of normal forces resists.
+
+    Attributes:
+        lower: Certified lower bound: the ball of this radius lies within the hull of wrenches of known forces.
+        upper: Certified upper bound: the support of the wrench set in `direction`.
+        direction: Unit wrench direction, torque first, shape (6,).
+        witness_forces: Forces in contact frames that attain +lower, then -lower, along axis 0, then axis 1, ...; in
+            units of the sum of normal forces, shape (12, 3 n).
+        iterations: Number of hull refinements.
+        seconds: Wall time.
+    """
+
+    lower: float
+    upper: float
+    direction: Array
+    witness_forces: Array
+    iterations: int
+    seconds: float
+
+
+def task_margin(
+    G: ArrayLike,
+    mu: ArrayLike,
+    F_gravity: ArrayLike,
+    disturbances: ArrayLike,
+    A: ArrayLike | None = None,
+    effort: ArrayLike | None = None,
+    *,
+    length: float,
+    safety: float = 1.0,
+    cap: float = 100.0,
+) -> TaskMargin:
+    """The greatest multiple of each of some disturbances that a grasp resists beside gravity.
+
+    For each k: maximise s  subject to  G f + F_gravity + s d_k = 0,  f in the friction cones,  |A f| <= effort,
+    0 <= s <= cap. The margin is the least over k. Without effort limits it is often unbounded: hence the cap.
+
+    Args:
+        G: Grasp matrix, shape (6, 3 n).
+        mu: Coefficient of friction, one or n.
+        F_gravity: Wrench that is always there, torque first [N m, N], shape (6,).
+        disturbances: Wrenches d_k, shape (k, 6), for example `push_wrenches(mass)`.
+        A: Map of contact forces to actuated joint torques, shape (n_act, 3 n).
+        effort: Limits of |A f|, shape (n_act,).
+        length: Length that divides torques [m].
+        safety: Factor on friction.
+        cap: Greatest margin that is reported.
+
+    Returns:
+        The margin, 0 with a reason where gravity itself is not held.
+
+    Raises:
+        ConfigError: Shapes do not match or a number is out of range.
+    """
+    start = time.perf_counter()
+    G, mus, n = check_grasp(G, mu, length, safety)
+    A, e = check_effort(A, effort, n)
+    D = np.atleast_2d(np.asarray(disturbances, dtype=float))
+    if D.shape[1:] != (6,) or len(D) == 0:
+        raise ConfigError(f"disturbances: shape {D.shape} is not (k, 6) with k >= 1")
+    margins, forces, worst = np.zeros(len(D)), np.zeros((len(D), 3 * n)), 0.0
+    status, reason = ("solved", "") if n else ("infeasible", "there is no contact")
+    if n:
+        scaling = torque_scaling(length)
+        G_n, F_n, D_n = scaling[:, None] * G, scaling * np.asarray(F_gravity, dtype=float), scaling * D
+        scale = max(float(np.linalg.norm(F_n)), float(np.linalg.norm(D_n, axis=1).max()), 1e-9)
+        rows, right = constraint_rows(G_n, mus, A, e, scale)
+        k = len(e)
+        split = 6 + 2 * k + n
+        # Insert the two rows of 0 <= s <= cap before the cones, and the column of s.
+        M = np.zeros((3 * n + 1, rows.shape[1] + 2))
+        M[:-1, :split], M[:-1, split + 2 :] = rows[:, :split], rows[:, split:]
+        b = np.concatenate([right[:split], [0.0, cap], right[split:]])
+        M[-1, split], M[-1, split + 1] = -1.0, 1.0
+        b[:6] = -F_n / scale
+        mask, indices, indptr = pattern(n, k, True)
+        # A whisper of least forces: without it the internal forces of the optimum are unbounded where efforts are.
+        P = diagonal(np.append(np.full(3 * n, 1e-7), 0.0))
+        q = np.append(np.zeros(3 * n), -1.0)
+        for j, d in enumerate(D_n):
+            M[-1, :6] = d / scale
+            A_csc = csc_matrix((M[mask], indices, indptr), shape=(M.shape[1], 3 * n + 1))
+            solution = conic.DefaultSolver(P, q, A_csc, b, list(program_cones(n, k, True)), solver_settings()).solve()
+            status = solver_status(solution)
+            if status != "solved":
+                margins[:], forces[:] = 0.0, 0.0
+                reason = "gravity is not held" if status == "infeasible" else REASONS["failed"]
+                break
+            margins[j] = max(0.0, float(solution.x[-1]))
+            forces[j] = polish(G_n, scale * np.asarray(solution.x[:-1]), F_n + margins[j] * d, mus)
+            residual = np.linalg.norm(G_n @ forces[j] + F_n + margins[j] * d)
+            worst = max(worst, float(residual) / (float(np.linalg.norm(F_n)) or 1.0))
+    margin = float(margins.min()) if status == "solved" else 0.0
+    return TaskMargin(status, margin, margins, forces, worst, reason, CLARABEL, time.perf_counter() - start)
+
+
+def support(G: ArrayLike, mu: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
+    """Support function of W = {G f : f in the exact cones, sum f_n <= 1}, with forces that attain it.
+
+    h(u) = max(0, max_i(mu_i |g_i,t| + g_i,n)), g = G^T u: the best forces press one contact only, along its friction
+    cone's edge. Closed form, hence no solver.
+
+    Args:
+        G: Grasp matrix, torques divided by a length, shape (6, 3 n).
+        mu: Coefficient of friction, one or n.
+        directions: Wrench directions u, shape (m, 6).
+
+    Returns:
+        h(u), shape (m,), and forces of contact i* with f_n = 1 (not 0 where h = 0), shape (m, 3 n).
+    """
+    G, mus, n = check_grasp(G, mu, 1.0)
+    u = np.asarray(directions, dtype=float)
+    g = (u @ G).reshape(len(u), n, 3)
+    tangent = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2)
+    values = mus * tangent + g[..., 2]
+    best, row = values.argmax(axis=1), np.arange(len(u))
+    f = np.zeros((len(u), n, 3))
+    length = np.maximum(tangent[row, best], 1e-300)
+    f[row, best, :2] = (mus[best] / length)[:, None] * g[row, best, :2]
+    f[row, best, 2] = 1.0
+    return np.maximum(0.0, values[row, best]), f.reshape(len(u), 3 * n)
+
+
+def ball_margin(
+    G: ArrayLike, mu: ArrayLike, *, length: float = 1.0, tol: float = 1e-3, max_iterations: int = 400
+) -> BallMargin:
+    """Bracket of the radius of the largest ball around 0 in W = {G f : f in the exact cones, sum f_n <= 1}.
+
+    A quality of the Ferrari-Canny family (1992, the sum of normal forces bounded) with exact cones. The hull of
+    wrenches of known forces is an inner approximation, whose nearest facet bounds the radius from below; the support
+    function at its normal bounds it from above; the forces of the support refine the hull until the bounds meet. Two
+    hard-finger contacts resist no torque about the line between them: their margin is 0, found at once.
+
+    Args:
+        G: Grasp matrix, shape (6, 3 n).
+        mu: Coefficient of friction, one or n.
+        length: Length that divides torques [m]; 1 where G's torques are divided already.
+        tol: Width of the bracket to stop at, relative to unit force.
+        max_iterations: Refinements after which the bracket is returned as it is.
+
+    Returns:
+        The bracket with its witnesses. `lower` is 0 where 0 is not inside W.
+
+    Raises:
+        ConfigError: Shapes do not match or a number is out of range.
+    """
+    start = time.perf_counter()
+    G, mus, n = check_grasp(G, mu, length)
+    G = torque_scaling(length)[:, None] * G
+    U, sigma, _ = np.linalg.svd(G, full_matrices=True)
+    if n < 3 or sigma[-1] < 1e-9 * max(sigma[0], 1.0):
+        # A direction that no force has a share in. (Fewer than three contacts never span all wrenches.)
+        return BallMargin(0.0, 0.0, U[:, -1].copy(), np.zeros((12, 3 * n)), 0, time.perf_counter() - start)
+    # Seeds: three edges of each cone, and support points along the principal axes of G.
+    f_seed = np.zeros((3 * n, n, 3))
+    f_seed[np.arange(3 * n), np.repeat(np.arange(n), 3)] = np.swapaxes(cone_edges(mus, 3), -1, -2).reshape(3 * n, 3)
+    seeds = np.vstack([f_seed.reshape(3 * n, 3 * n), support(G, mus, np.vstack([U.T, -U.T]))[1]])
+    lower, upper, direction, iterations = 0.0, math.inf, U[:, -1].copy(), 0
+    try:
+        hull = GrowingHull(seeds @ G.T)
+    except ValueError:  # no friction and few contacts: the wrenches lie in a plane that may not hold 0
+        values, _ = support(G, mus, np.vstack([U.T, -U.T]))
+        direction = np.vstack([U.T, -U.T])[int(values.argmin())]
+        return BallMargin(0.0, float(values.min()), direction, np.zeros((12, 3 * n)), 0, time.perf_counter() - start)
+    forces = [*seeds[hull.start]]
+    for iterations in range(1, max_iterations + 1):  # noqa: B007
+        nearest = hull.nearest()
+        u = hull.planes[nearest, :6]
+        lower = float(hull.offsets[nearest])
+        value, f = support(G, mus, u[None])
+        if value[0] < upper:
+            upper, direction = float(value[0]), u.copy()
+        if upper - max(lower, 0.0) <= tol or not hull.add(G @ f[0]):
+            break
+        forces.append(f[0])
+    lower = min(max(lower, 0.0), upper)
+    witness = _witness(G, np.array(forces), lower, hull)
+    return BallMargin(lower, upper, direction, witness, iterations, time.perf_counter() - start)
+
+
+def _witness(G: Array, forces: Array, lower: float, hull: GrowingHull) -> Array:
+    """Forces that attain +-lower along each axis, as convex combinations of `forces`, shape (12, 3 n)."""
+    result = np.zeros((12, forces.shape[1]))
+    if lower <= 0.0:
+        return result
+    wrenches = forces @ G.T
+    for row in range(12):
+        axis = np.zeros(6)
+        axis[row // 2] = 1.0 if row % 2 == 0 else -1.0
+        # The facet that the ray along the axis leaves through; its vertices' weights.
+        vertices = hull.vertices[hull.facet_along(axis)]
+        try:
+            weights = np.linalg.solve(wrenches[vertices].T, lower * axis)
+        except np.linalg.LinAlgError:
+            weights = np.full(6, -1.0)
+        if weights.min() < -1e-12:  # a facet of more than six points: any nonnegative combination does
+            stacked = np.vstack([np.c_[wrenches.T, np.zeros(6)], np.ones(len(forces) + 1)])
+            weights, vertices = nnls(stacked, np.append(lower * axis, 1.0))[0][:-1], np.arange(len(forces))
+        result[row] = weights @ forces[vertices]
+    return result
+
+
+def _primitive_wrenches(G: ArrayLike, mu: ArrayLike, length: float, edges: int) -> Array:
+    """Wrenches of the edges of all pyramids, unit normal force, shape (n * edges, 6)."""
+    G, mus, n = check_grasp(G, mu, length)
+    columns = (torque_scaling(length)[:, None] * G).reshape(6, n, 3)
+    return np.einsum("aij,ijk->ika", columns, cone_edges(mus, edges)).reshape(n * edges, 6)
+
+
+def epsilon_linearized(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 8) -> float:
+    """The Ferrari-Canny quality with pyramids: radius of the largest ball in the hull of primitive wrenches.
+
+    Args:
+        G: Grasp matrix, shape (6, 3 n).
+        mu: Coefficient of friction, one or n.
+        length: Length that divides torques [m].
+        edges: Number of edges of a pyramid.
+
+    Returns:
+        The quality; 0 where the origin is not inside. It is at most the exact `ball_margin`.
+
+    Raises:
+        ConfigError: Shapes do not match or a number is out of range.
+    """
+    wrenches = _primitive_wrenches(G, mu, length, edges)
+    if len(wrenches) < 7 or np.linalg.matrix_rank(wrenches, tol=1e-9) < 6:
+        return 0.0
+    try:
+        hull = ConvexHull(np.vstack([np.zeros(6), wrenches]))
+    except QhullError:
+        return 0.0
+    return max(0.0, float(-hull.equations[:, 6].max()))
+
+
+def min_weight(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 4) -> float:
+    """FRoGGeR's quality: the largest least weight of a convex combination of primitive wrenches that gives zero.
+
+    maximise l  subject to  sum_j alpha_j w_j = 0,  sum_j alpha_j = 1,  alpha_j >= l
+
+    (Li et al., FRoGGeR, 2023.) A linear program; positive exactly where the grasp closes by force, given that the
+    primitive wrenches span. Between it and `epsilon_linearized` there are two-sided bounds.
+
+    Args:
+        G: Grasp matrix, shape (6, 3 n).
+        mu: Coefficient of friction, one or n.
+        length: Length that divides torques [m].
+        edges: Number of edges of a pyramid.
+
+    Returns:
+        l, at most 1 / (n edges); negative where no nonnegative combination gives zero, -inf where none at all does.
+
+    Raises:
+        ConfigError: Shapes do not match or a number is out of range.
+    """
+    wrenches = _primitive_wrenches(G, mu, length, edges)
+    m = len(wrenches)
+    if m == 0:
+        return -math.inf
+    rows = np.zeros((7 + m, m + 1))
+    rows[:6, :m] = wrenches.T
+    rows[6, :m] = 1.0
+    rows[7:, :m], rows[7:, m] = -np.eye(m), 1.0
+    right = np.zeros(7 + m)
+    right[6] = 1.0
+    cones = [conic.ZeroConeT(7), conic.NonnegativeConeT(m)]
+    q = np.append(np.zeros(m), -1.0)
+    solution = conic.DefaultSolver(
+        csc_matrix((m + 1, m + 1)), q, csc_matrix(rows), right, cones, solver_settings()
+    ).solve()
+    return float(solution.x[-1]) if solver_status(solution) == "solved" else -math.inf
