@@ -1,0 +1,1 @@
+"""The generative model: networks, training, checkpoints, prediction. `features` and `heading` do without torch."""
