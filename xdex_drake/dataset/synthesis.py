@@ -1,0 +1,285 @@
+"""From hand and scene to certified grasps: search, polish, certify, pre-grasp, squeeze, lift."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.penetration import penetration_depth
+from xdex_drake.grasp import Array, Grasp
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
+from xdex_drake.programs.point import Point
+from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.search import SearchSettings, search
+from xdex_drake.programs.solve import solve
+from xdex_drake.scene.distance import sample_surface
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
+from xdex_drake.simulation.pregrasp import pregrasp, squeeze_targets
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+
+_log = logging.getLogger(__name__)
+
+SQUEEZES = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
+"""Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try in turn."""
+
+SURFACE_POINTS = 4096
+"""Points of the object's surface at which penetration is measured."""
+
+
+@dataclass(frozen=True)
+class SynthesisSettings:
+    """Settings of synthesis.
+
+    Attributes:
+        search: Settings of the batched search.
+        polish: Numbers of the hard constraints.
+        batch: Candidates of one search.
+        keep: Fraction of a batch, best first, that is polished.
+        solver: Solver of the polish.
+        penetration_m: Deepest penetration of an accepted grasp, against the parts [m].
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    polish: PolishSettings = field(default_factory=PolishSettings)
+    batch: int = 64
+    keep: float = 0.6
+    solver: str = "sequential"
+    penetration_m: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one candidate.
+
+    Attributes:
+        grasp: The certified grasp, None where there is none.
+        reason: Why there is none: the constraint that could not be met, "wrench: ...", "penetration" or "pregrasp".
+    """
+
+    grasp: Grasp | None
+    reason: str
+
+
+@dataclass
+class Tally:
+    """Counts and seconds of a synthesis, for its closing table.
+
+    Attributes:
+        tried: Candidates polished.
+        certified: Candidates that were certified.
+        lifted: Certified grasps that lifted.
+        rejected: How often each reason rejected a candidate.
+        failed: How often each reason failed a lift.
+        seconds: Wall time.
+    """
+
+    tried: int = 0
+    certified: int = 0
+    lifted: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)
+    failed: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, float]:
+    """Depth of the deepest object surface point in the hand, against the parts and against the mesh.
+
+    Args:
+        hand: The hand.
+        k: Its configuration.
+        scene: The scene.
+
+    Returns:
+        Depth against the convex parts and against the mesh [m].
+    """
+    obj = scene.object
+    parts, _ = sample_surface(*obj.surface, SURFACE_POINTS, 0)
+    mesh, _ = sample_surface(obj.vertices, obj.faces, SURFACE_POINTS, 0)
+    return (
+        float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ parts.T).T)),
+        float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ mesh.T).T)),
+    )
+
+
+def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, penetration_m: float = 1e-3) -> Outcome:
+    """Certifies a polished point, measures its penetration and prepares its lift.
+
+    Args:
+        hand: The hand.
+        point: A point whose contacts touch.
+        protocol: The protocol whose gains the squeeze is for.
+        penetration_m: Deepest penetration that is accepted, against the parts [m].
+
+    Returns:
+        The grasp, or the reason why there is none.
+    """
+    scene, k, obj = point.scene, point.k, point.scene.object
+    R_OW = scene.X_WO.rotation().matrix().T
+    p_OCs = (point.contacts_W - scene.X_WO.translation()) @ R_OW.T
+    n_OCs = point.normals_W @ R_OW.T
+    links = [hand.links[link].name for link in point.contacts.links]
+    weight = obj.mass * 9.81
+    result = None
+    for safety, least in SQUEEZES:
+        result = certify(
+            p_OCs,
+            n_OCs,
+            links,
+            mu=obj.friction,
+            mass=obj.mass,
+            p_OOcm=obj.p_OOcm,
+            length=obj.length,
+            R_WO=scene.X_WO.rotation().matrix(),
+            A=_effort_map(k, point, p_OCs, n_OCs),
+            effort=hand.effort,
+            safety=safety,
+            min_normal=least * weight,
+        )
+        if result.certificate is not None:
+            break
+    assert result is not None
+    if result.certificate is None:
+        return Outcome(None, f"certificate: {result.reason}")
+    depth_parts, depth_mesh = penetrations(hand, k, scene)
+    if depth_parts > penetration_m:
+        return Outcome(None, "penetration")
+    opened = pregrasp(hand, scene, k.X_WH, k.q)
+    if opened.clearance < 1e-3:
+        return Outcome(None, "pregrasp")
+    grasp = Grasp(
+        hand=hand.name,
+        object=obj.name,
+        X_WO=scene.X_WO,
+        X_WH=k.X_WH,
+        q=np.clip(k.q, hand.limits[0], hand.limits[1]),
+        certificate=result.certificate,
+        X_WH_pregrasp=opened.X_WH,
+        q_pregrasp=opened.q,
+        penetration_parts_m=depth_parts,
+        penetration_mesh_m=depth_mesh,
+    )
+    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)), "")
+
+
+def _effort_map(k: Configuration, point: Point, p_OCs: Array, n_OCs: Array) -> Array:
+    """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
+    from xdex_drake.contact.certificate import contact_geometry
+
+    R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
+    J = k.jacobian(point.contacts.links, point.contacts_W)[:, :, 6:]
+    return (np.swapaxes(R_WCs, 1, 2) @ J).reshape(-1, J.shape[-1]).T
+
+
+def polish(program: GraspProgram, settings: SynthesisSettings, *, protocol: LiftProtocol = LIFT) -> Outcome:
+    """Solves a program and finishes the grasp; see `finish_grasp`."""
+    start = time.perf_counter()
+    result = solve(program, solver=settings.solver)
+    if not result.success:
+        return Outcome(None, result.worst)
+    outcome = finish_grasp(program.hand, result.point, protocol=protocol, penetration_m=settings.penetration_m)
+    if outcome.grasp is None:
+        return outcome
+    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
+
+
+def certified_grasps(
+    hand: Hand, scene: Scene, *, seed: int = 0, settings: SynthesisSettings | None = None, tally: Tally | None = None
+) -> Iterator[Grasp]:
+    """Certified grasps, without end: batch after batch of searches, each candidate polished and certified.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        seed: Seed.
+        settings: Settings; the defaults where None.
+        tally: Counts to add to.
+
+    Yields:
+        Certified grasps, not yet lifted; their time includes their share of the search.
+    """
+    settings = settings or SynthesisSettings()
+    tally = tally if tally is not None else Tally()
+    batch = 0
+    while True:
+        start = time.perf_counter()
+        found = search(hand, scene, count=settings.batch, seed=_mix(seed, batch), settings=settings.search)
+        share = (time.perf_counter() - start) / settings.batch
+        for row in range(max(1, round(settings.keep * len(found.energy)))):
+            tally.tried += 1
+            outcome = polish(program_of_candidate(hand, scene, found, row, settings=settings.polish), settings)
+            if outcome.grasp is None:
+                tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
+                continue
+            tally.certified += 1
+            name = f"{hand.name}-{scene.object.name}-{seed}-{batch}-{row}"
+            yield replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share)
+        batch += 1
+
+
+def _mix(seed: int, batch: int) -> int:
+    """A seed for each batch, the same in every process."""
+    return int(np.random.SeedSequence([seed, batch]).generate_state(1)[0])
+
+
+def lift_all(rig: LiftRig, grasps: Iterator[Grasp], tally: Tally) -> Iterator[Grasp]:
+    """Lifts grasps one by one.
+
+    Args:
+        rig: The rig of their hand and scene.
+        grasps: Certified grasps.
+        tally: Counts to add to.
+
+    Yields:
+        Each grasp with its lift, successful or not.
+    """
+    for grasp in grasps:
+        verdict = simulate_lift(rig, grasp)
+        if verdict.success:
+            tally.lifted += 1
+        else:
+            tally.failed[verdict.failure_reason] = tally.failed.get(verdict.failure_reason, 0) + 1
+        yield replace(grasp, lift=verdict)
+
+
+def synthesize(
+    hand: Hand,
+    scene: Scene,
+    *,
+    count: int,
+    seed: int = 0,
+    time_limit_s: float = 120.0,
+    settings: SynthesisSettings | None = None,
+    protocol: LiftProtocol = LIFT,
+    tally: Tally | None = None,
+) -> Iterator[Grasp]:
+    """Grasps that are certified and lifted.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        count: How many lifted grasps are wanted.
+        seed: Seed.
+        time_limit_s: Wall time after which what was found is all there is [s].
+        settings: Settings; the defaults where None.
+        protocol: Lift protocol.
+        tally: Counts to add to.
+
+    Yields:
+        Every certified grasp with its lift, failed ones too, until `count` have lifted or time is up.
+    """
+    tally = tally if tally is not None else Tally()
+    start = time.perf_counter()
+    rig = lift_rig(hand, scene, protocol=protocol)
+    for grasp in lift_all(rig, certified_grasps(hand, scene, seed=seed, settings=settings, tally=tally), tally):
+        tally.seconds = time.perf_counter() - start
+        yield grasp
+        if tally.lifted >= count or tally.seconds > time_limit_s:
+            return

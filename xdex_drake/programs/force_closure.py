@@ -1,0 +1,266 @@
+"""The force-closure program of Eq. (1) under hard constraints: it polishes one candidate of the batched search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs import constraints
+from xdex_drake.programs.point import ContactSet, Point
+from xdex_drake.programs.program import Cost, GraspProgram, LeastSquares
+from xdex_drake.programs.search import Candidates, SearchSettings, search, sphere_pairs
+from xdex_drake.scene.tabletop import Scene
+
+
+@dataclass(frozen=True)
+class PolishSettings:
+    """Numbers of the hard constraints.
+
+    Attributes:
+        clearance: Gap that spheres without contact keep from the object [m].
+        table_clearance: Gap that all spheres keep from the table [m].
+        self_clearance: Gap between spheres of links that must stay apart [m].
+        friction_fraction: Fraction of the friction that the forces may use.
+        least_force: Least normal force of a contact, in units of the object's weight.
+        most_force: Greatest normal force of a contact, in units of the object's weight.
+        pad_cosine: Least cosine between contact and pad normals.
+        posture: Weight of staying near the start.
+        effort: Weight of small contact forces.
+    """
+
+    clearance: float = 5e-4
+    table_clearance: float = 2e-3
+    self_clearance: float = 1e-3
+    friction_fraction: float = 0.6
+    least_force: float = 0.4
+    most_force: float = 6.0
+    pad_cosine: float = 0.1
+    posture: float = 0.1
+    effort: float = 0.05
+
+
+def contact_set(hand: Hand, scene: Scene, k: Configuration, fingers: NDArray[np.bool_]) -> ContactSet:
+    """For each finger that shall touch, the sphere of its tip link that is nearest to the object.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        k: The configuration.
+        fingers: Which fingers shall touch, in the order of `hand.fingers`.
+
+    Returns:
+        The contact set.
+    """
+    spheres, links, chosen = [], [], []
+    for f in np.flatnonzero(fingers):
+        link = hand.link_index[hand.fingers[f].tip_link]
+        rows = np.flatnonzero(hand.sphere_links == link)
+        centers = k.points(np.full(len(rows), link), hand.spheres[rows, :3])
+        gaps = scene.object.exact.query(_to_object(scene, centers)).distance
+        best = rows[int(np.argmin(gaps - hand.spheres[rows, 3]))]
+        spheres.append(int(best))
+        links.append(link)
+        chosen.append(int(f))
+    return ContactSet(np.array(spheres, dtype=np.int64), np.array(links, dtype=np.int64), np.array(chosen, dtype=np.int64))
+
+
+def _to_object(scene: Scene, p_WPs: Array) -> Array:
+    return (p_WPs - scene.X_WO.translation()) @ scene.X_WO.rotation().matrix()
+
+
+def near_self_pairs(hand: Hand, k: Configuration, reach: float = 0.03) -> NDArray[np.int64]:
+    """Pairs of spheres of different links that are near enough to matter during a polish.
+
+    Args:
+        hand: The hand.
+        k: The configuration.
+        reach: Greatest gap of a pair that is kept [m].
+
+    Returns:
+        Indices among `hand.spheres`, shape (m, 2).
+    """
+    pairs = sphere_pairs(hand)
+    centers = k.points(hand.sphere_links, hand.spheres[:, :3])
+    a, b = pairs[:, 0], pairs[:, 1]
+    gap = np.linalg.norm(centers[a] - centers[b], axis=1) - hand.spheres[a, 3] - hand.spheres[b, 3]
+    return pairs[gap < reach]
+
+
+def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constraints.Block, ...]:
+    """The constraints that every grasp program shares: contact, clearances, joint limits, pads.
+
+    Args:
+        start: Initial guess with its contact set.
+        settings: Numbers.
+
+    Returns:
+        The blocks.
+    """
+    hand, contacts = start.k.hand, start.contacts
+    near, gaps, _ = start.object_distances
+    others = np.setdiff1d(near[gaps < 0.03], contacts.spheres)
+    # The rest of a touching link may come as near as its contact does.
+    touching = np.isin(hand.sphere_links[others], contacts.links)
+    heights = start.centers_W[:, 2] - hand.spheres[:, 3]
+    low = np.flatnonzero(heights < 0.04)
+    pads = np.array([hand.fingers[f].n_LPad for f in contacts.fingers])
+    return (
+        constraints.contact_block(len(contacts.spheres)),
+        constraints.object_block(others, np.where(touching, 0.0, settings.clearance)),
+        constraints.table_block(low, settings.table_clearance),
+        constraints.self_block(near_self_pairs(hand, start.k), settings.self_clearance),
+        constraints.limit_block(hand.limits),
+        constraints.pad_block(pads, settings.pad_cosine),
+    )
+
+
+def wrench_blocks(start: Point, settings: PolishSettings) -> tuple[constraints.Block, ...]:
+    """The constraints that make contact forces hold the object with a margin.
+
+    Args:
+        start: Initial guess with its contact set.
+        settings: Numbers.
+
+    Returns:
+        The blocks.
+    """
+    scene, nc = start.scene, len(start.contacts.spheres)
+    return (
+        constraints.wrench_block(scene.X_WO @ scene.object.p_OOcm, scene.object.length),
+        constraints.cone_block(nc, settings.friction_fraction * scene.object.friction),
+        constraints.normal_force_block(nc, settings.least_force, settings.most_force),
+    )
+
+
+def posture_cost(start: Point, weight: float) -> LeastSquares:
+    """Stays near the start: 1/2 w (|p - p0|^2 / (1 cm)^2 + |rotation|^2 / (0.1 rad)^2 + |q - q0|^2 / (0.2 rad)^2).
+
+    Args:
+        start: The start.
+        weight: Weight.
+
+    Returns:
+        The cost.
+    """
+    n = len(start.k.q)
+    scale = np.concatenate([np.full(3, 1.0 / 0.1), np.full(3, 1.0 / 0.01), np.full(n, 1.0 / 0.2)])
+    R0, p0, q0 = start.k.X_WH.rotation(), start.k.X_WH.translation(), start.k.q
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        R = point.k.X_WH.rotation()
+        turn = (R @ R0.inverse()).matrix()
+        # Twice the sine of small angles; exact at the start, where it matters.
+        w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        r = scale * np.concatenate([w, point.k.X_WH.translation() - p0, point.k.q - q0])
+        J = np.zeros((6 + n, point.size))
+        J[:, : 6 + n] = np.diag(scale)
+        J[:3, :3] = scale[0] * 0.5 * (np.trace(turn) * np.eye(3) - turn)
+        return r, J
+
+    return LeastSquares("posture", weight, evaluate, "distance from the start")
+
+
+def effort_cost(weight: float) -> LeastSquares:
+    """Small contact forces: 1/2 w |f|^2 in units of the object's weight."""
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        J = np.zeros((point.forces.size, point.size))
+        J[:, point.size - point.forces.size :] = np.eye(point.forces.size)
+        return point.forces.ravel(), J
+
+    return LeastSquares("effort", weight, evaluate, "squared contact forces")
+
+
+def polish_program(
+    hand: Hand,
+    scene: Scene,
+    X_WH: RigidTransform,
+    q: Array,
+    fingers: NDArray[np.bool_],
+    *,
+    settings: PolishSettings | None = None,
+    extra_costs: tuple[Cost, ...] = (),
+    name: str = "force closure",
+) -> GraspProgram:
+    """The force-closure program from a given start.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        X_WH: Wrist pose of the start.
+        q: Joint values of the start, shape (n,).
+        fingers: Which fingers shall touch, in the order of `hand.fingers`.
+        settings: Numbers; the defaults where None.
+        extra_costs: Costs beside posture and effort.
+        name: Name of the program.
+
+    Returns:
+        The program.
+    """
+    settings = settings or PolishSettings()
+    k = Configuration.at(hand, X_WH, q)
+    contacts = contact_set(hand, scene, k, fingers)
+    start = Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3)))
+    start = Point(k, scene, contacts, start.normals_W * settings.least_force)
+    costs = (posture_cost(start, settings.posture), effort_cost(settings.effort), *extra_costs)
+    return GraspProgram(name, start, costs, (*feasibility_blocks(start, settings), *wrench_blocks(start, settings)))
+
+
+def force_closure_program(
+    hand: Hand,
+    scene: Scene,
+    *,
+    contacts: int = 4,
+    seed: int = 0,
+    starts: int = 16,
+    search_settings: SearchSettings | None = None,
+    settings: PolishSettings | None = None,
+) -> GraspProgram:
+    """The force-closure program from the best of a small batched search.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        contacts: Greatest number of fingers that touch.
+        seed: Seed of the search.
+        starts: Number of candidates of the search.
+        search_settings: Settings of the search; the defaults where None.
+        settings: Numbers of the hard constraints; the defaults where None.
+
+    Returns:
+        The program, open to more costs and constraints.
+    """
+    from dataclasses import replace
+
+    found = search(
+        hand,
+        scene,
+        count=starts,
+        seed=seed,
+        settings=replace(search_settings or SearchSettings(), contacts=contacts),
+    )
+    return program_of_candidate(hand, scene, found, 0, settings=settings)
+
+
+def program_of_candidate(
+    hand: Hand, scene: Scene, found: Candidates, row: int, *, settings: PolishSettings | None = None
+) -> GraspProgram:
+    """The force-closure program that polishes one candidate of a search.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        found: Candidates.
+        row: Which one.
+        settings: Numbers; the defaults where None.
+
+    Returns:
+        The program.
+    """
+    X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(found.R_WHs[row]), found.p_WHs[row])
+    return polish_program(hand, scene, X_WH, found.qs[row], found.fingers[row], settings=settings)

@@ -1,0 +1,156 @@
+"""One trial point of a grasp program: a configuration of the hand, contact forces, and what terms read from them.
+
+Everything is computed once for a point and in double precision: link poses, sphere centers, exact distances to the object, Jacobians with
+respect to the tangent. The tangent of a point is (w_WH, v_WH, qdot, df), of dimension 6 + n + 3 nc; forces are in W.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xdex_drake.hand.description import Array
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.scene.tabletop import Scene
+
+NORMAL_STEP = 1.5e-3
+"""Step of the central differences that give the curvature of the surface at a contact [m]: about the size of a triangle."""
+
+FAR = 0.03
+"""Spheres further than this from the object's bounding box are not asked for exact distances [m]."""
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """Which spheres of the hand are to touch the object.
+
+    Attributes:
+        spheres: Index of each contact's sphere among `hand.spheres`, shape (nc,).
+        links: Index of each contact's link, shape (nc,).
+        fingers: Index of each contact's finger among `hand.fingers`, shape (nc,).
+    """
+
+    spheres: NDArray[np.int64]
+    links: NDArray[np.int64]
+    fingers: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A trial point.
+
+    Attributes:
+        k: The hand's configuration.
+        scene: The scene.
+        contacts: The contact set.
+        forces: Forces on the object, in W, in units of the object's weight, shape (nc, 3).
+        memo: Values and Jacobians of constraint blocks at this point, by name.
+    """
+
+    k: Configuration
+    scene: Scene
+    contacts: ContactSet
+    forces: Array
+    memo: dict[str, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent."""
+        return 6 + len(self.k.q) + self.forces.size
+
+    @cached_property
+    def centers_W(self) -> Array:
+        """Centers of all spheres [m], shape (n_spheres, 3)."""
+        hand = self.k.hand
+        return self.k.points(hand.sphere_links, hand.spheres[:, :3])
+
+    @cached_property
+    def _near(self) -> NDArray[np.int64]:
+        centers_O = self._to_object(self.centers_W)
+        vertices = self.scene.object.surface[0]
+        low, high = vertices.min(0) - FAR, vertices.max(0) + FAR
+        reach = self.k.hand.spheres[:, 3][:, None]
+        return np.flatnonzero(np.all((centers_O > low - reach) & (centers_O < high + reach), axis=1))
+
+    def _to_object(self, p_WPs: Array) -> Array:
+        R_WO, p_WO = self.scene.X_WO.rotation().matrix(), self.scene.X_WO.translation()
+        return (p_WPs - p_WO) @ R_WO
+
+    def _query(self, p_WPs: Array) -> tuple[Array, Array]:
+        """Exact distance [m] and its unit gradient in W."""
+        result = self.scene.object.exact.query(self._to_object(p_WPs))
+        return result.distance, result.gradient @ self.scene.X_WO.rotation().matrix().T
+
+    @cached_property
+    def object_distances(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Spheres near the object: their indices, gaps [m] (center distance less radius), and unit gradients in W."""
+        near = self._near
+        if len(near) == 0:
+            return near, np.zeros(0), np.zeros((0, 3))
+        distance, gradient = self._query(self.centers_W[near])
+        return near, distance - self.k.hand.spheres[near, 3], gradient
+
+    @cached_property
+    def contact_centers_W(self) -> Array:
+        """Centers of the contact spheres [m], shape (nc, 3)."""
+        return self.centers_W[self.contacts.spheres]
+
+    @cached_property
+    def _contact_distance(self) -> tuple[Array, Array]:
+        return self._query(self.contact_centers_W)
+
+    @property
+    def contact_gaps(self) -> Array:
+        """Gap of each contact sphere [m], shape (nc,)."""
+        return self._contact_distance[0] - self.k.hand.spheres[self.contacts.spheres, 3]
+
+    @property
+    def normals_W(self) -> Array:
+        """Unit contact normals into the object, shape (nc, 3)."""
+        return -self._contact_distance[1]
+
+    @cached_property
+    def contacts_W(self) -> Array:
+        """Contact points: the surface points nearest to the contact spheres [m], shape (nc, 3)."""
+        distance, gradient = self._contact_distance
+        return self.contact_centers_W - distance[:, None] * gradient
+
+    @cached_property
+    def normal_slopes(self) -> Array:
+        """Derivative of each normal with respect to its sphere's center [1/m], shape (nc, 3, 3).
+
+        The surface is made of triangles, so the slope is taken over a step of the size of a triangle.
+        """
+        nc = len(self.contacts.spheres)
+        steps = NORMAL_STEP * np.eye(3)
+        shifted = self.contact_centers_W[:, None, None, :] + np.stack([steps, -steps])[None]  # (nc, 2, 3, 3)
+        _, gradient = self._query(shifted.reshape(-1, 3))
+        gradient = gradient.reshape(nc, 2, 3, 3)
+        slopes = -(gradient[:, 0] - gradient[:, 1]) / (2.0 * NORMAL_STEP)  # (nc, direction, component)
+        return np.swapaxes(slopes, 1, 2)
+
+    @cached_property
+    def contact_jacobian(self) -> Array:
+        """Jacobian of the contact spheres' centers with respect to the configuration, shape (nc, 3, 6 + n)."""
+        return self.k.jacobian(self.contacts.links, self.contact_centers_W)
+
+    @cached_property
+    def surface_jacobian(self) -> Array:
+        """Jacobian of the contact points on the surface, shape (nc, 3, 6 + n)."""
+        n = self.normals_W
+        distance = self._contact_distance[0]
+        along = np.eye(3) - n[:, :, None] * n[:, None, :] + distance[:, None, None] * self.normal_slopes
+        return along @ self.contact_jacobian
+
+    @cached_property
+    def normal_jacobian(self) -> Array:
+        """Jacobian of the contact normals, shape (nc, 3, 6 + n)."""
+        return self.normal_slopes @ self.contact_jacobian
+
+    def moved(self, step: Array) -> Point:
+        """The point after a step along its tangent, shape (size,)."""
+        n = 6 + len(self.k.q)
+        return Point(self.k.moved(step[:n]), self.scene, self.contacts, self.forces + step[n:].reshape(-1, 3))

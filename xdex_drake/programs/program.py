@@ -1,0 +1,261 @@
+"""Grasp programs: a `MathematicalProgram` with named costs and constraints, open to a user's own.
+
+The decision variables are X_WH (x, y, z, qw, qx, qy, qz), the actuated joints q, and the contact forces f in W in units of the object's
+weight. Costs and constraints are written on the tangent (`constraints.py`); here they become Drake costs and constraints by the chain
+rule, with analytic gradients: nothing is differentiated through the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.solvers import MathematicalProgram
+
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs.constraints import Block
+from xdex_drake.programs.point import ContactSet, Point
+from xdex_drake.scene.plant import ScenePlant, build_plant
+from xdex_drake.scene.tabletop import Scene
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """A cost 1/2 weight |r(point)|^2.
+
+    Attributes:
+        name: Name in tables and results.
+        weight: Weight.
+        evaluate: Gives r, shape (m,), and its Jacobian with respect to the point's tangent, shape (m, size).
+        meaning: One line for tables.
+    """
+
+    name: str
+    weight: float
+    evaluate: Callable[[Point], tuple[Array, Array]]
+    meaning: str
+
+    def value(self, point: Point) -> float:
+        """The cost at a point."""
+        r, _ = self.evaluate(point)
+        return 0.5 * self.weight * float(r @ r)
+
+    def gradient(self, point: Point) -> Array:
+        """Gradient with respect to the tangent, shape (size,)."""
+        r, J = self.evaluate(point)
+        return self.weight * (r @ J)
+
+
+@dataclass(frozen=True)
+class UserCost:
+    """A cost weight * function(k) that a user wrote as a function of the hand's configuration alone.
+
+    Its gradient is taken by central differences over the 6 + n tangent directions, at the cost of as many forward kinematics.
+
+    Attributes:
+        name: Name in tables and results.
+        weight: Weight.
+        function: The value at a configuration.
+        meaning: One line for tables.
+    """
+
+    name: str
+    weight: float
+    function: Callable[[Configuration], float]
+    meaning: str = "user's own"
+
+    def value(self, point: Point) -> float:
+        """The cost at a point."""
+        return self.weight * float(self.function(point.k))
+
+    def gradient(self, point: Point) -> Array:
+        """Gradient with respect to the tangent, shape (size,)."""
+        n, h = 6 + len(point.k.q), 1e-5
+        gradient = np.zeros(point.size)
+        for k in range(n):
+            step = np.zeros(n)
+            step[k] = h
+            gradient[k] = (self.function(point.k.moved(step)) - self.function(point.k.moved(-step))) / (2.0 * h)
+        return self.weight * gradient
+
+
+Cost = LeastSquares | UserCost
+
+
+class GraspProgram:
+    """A named nonlinear program over a grasp.
+
+    Public and open: `prog` takes ordinary `AddCost` and `AddConstraint` on `X_WH`, `q` and `f`; `add_cost` takes a function of the
+    configuration; `plant` is the joint plant for a user's own Drake costs. `str(program)` is a table of its costs and constraints.
+    """
+
+    def __init__(self, name: str, start: Point, costs: tuple[Cost, ...], constraints: tuple[Block, ...]) -> None:
+        """Builds the `MathematicalProgram`.
+
+        Args:
+            name: Name of the program.
+            start: Initial guess; it also fixes hand, scene and contact set.
+            costs: Costs.
+            constraints: Constraints.
+        """
+        self.name = name
+        self.start = start
+        self.costs: list[Cost] = []
+        self.constraints: list[Block] = []
+        self.prog = MathematicalProgram()
+        self.X_WH: NDArray = self.prog.NewContinuousVariables(7, "X_WH")
+        self.q: NDArray = self.prog.NewContinuousVariables(len(start.k.q), "q")
+        self.f: NDArray = self.prog.NewContinuousVariables(start.forces.size, "f")
+        self.variables = np.concatenate([self.X_WH, self.q, self.f])
+        self._last: tuple[bytes, Point] | None = None
+        self.prog.AddQuadraticConstraint(
+            2.0 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]), np.zeros(7), 1.0, 1.0, self.X_WH
+        ).evaluator().set_description("unit quaternion")
+        limits = self.hand.limits
+        self.prog.AddBoundingBoxConstraint(limits[0], limits[1], self.q).evaluator().set_description("joint limits")
+        for cost in costs:
+            self._add_cost(cost)
+        for block in constraints:
+            self._add_constraint(block)
+        self.prog.SetInitialGuess(self.variables, self.values(start))
+
+    @property
+    def hand(self) -> Hand:
+        """The hand."""
+        return self.start.k.hand
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.start.scene
+
+    @property
+    def contacts(self) -> ContactSet:
+        """The contact set."""
+        return self.start.contacts
+
+    @cached_property
+    def plant(self) -> ScenePlant:
+        """The joint plant of hand, object and table, the hand floating; built when first asked for."""
+        return build_plant(self.hand, self.scene)
+
+    def add_cost(self, name: str, function: Callable[[Configuration], float], *, weight: float = 1.0) -> None:
+        """Adds a cost of the user's own, seen by every solver.
+
+        Args:
+            name: Name in tables and results.
+            function: A smooth function of the hand's configuration, from which it may read `X_WH`, `q`, and points of links.
+            weight: Weight.
+        """
+        self._add_cost(UserCost(name, weight, function))
+
+    def add_constraint(self, block: Block) -> None:
+        """Adds a constraint of the user's own, seen by every solver."""
+        self._add_constraint(block)
+
+    def values(self, point: Point) -> Array:
+        """Decision variables of a point, shape (7 + n + 3 nc,)."""
+        X_WH = point.k.X_WH
+        quaternion = X_WH.rotation().ToQuaternion().wxyz()
+        return np.concatenate([X_WH.translation(), quaternion, point.k.q, point.forces.ravel()])
+
+    def point(self, x: Array) -> Point:
+        """The point at values of the decision variables; the last one is kept, since costs and constraints ask in turn."""
+        x = np.ascontiguousarray(x, dtype=float)
+        key = x.tobytes()
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
+        n = len(self.start.k.q)
+        R_WH = RotationMatrix(Quaternion(wxyz=x[3:7] / np.linalg.norm(x[3:7])))
+        k = Configuration.at(self.hand, RigidTransform(R_WH, x[:3]), x[7 : 7 + n])
+        point = Point(k, self.scene, self.contacts, x[7 + n :].reshape(-1, 3))
+        self._last = (key, point)
+        return point
+
+    def rates(self, x: Array) -> Array:
+        """Matrix that turns rates of the decision variables into the tangent.
+
+        Args:
+            x: Decision variables, shape (7 + n + 3 nc,).
+
+        Returns:
+            Matrix, shape (6 + n + 3 nc, 7 + n + 3 nc).
+        """
+        w, a, b, c = x[3:7]
+        T = np.zeros((len(x) - 1, len(x)))
+        # Angular velocity of a quaternion that need not have unit length: 2 (rate times conjugate) / |quaternion|^2.
+        T[:3, 3:7] = 2.0 / (x[3:7] @ x[3:7]) * np.array([[-a, w, -c, b], [-b, c, w, -a], [-c, -b, a, w]])
+        T[3:6, :3] = np.eye(3)
+        T[6:, 7:] = np.eye(len(x) - 7)
+        return T
+
+    def _add_cost(self, cost: Cost) -> None:
+        self.costs.append(cost)
+
+        def function(z: NDArray) -> object:
+            x, derivatives = _split(z)
+            value = cost.value(self.point(x))
+            if derivatives is None:
+                return value
+            gradient = cost.gradient(self.point(x)) @ self.rates(x)
+            return AutoDiffXd(value, gradient @ derivatives)
+
+        self.prog.AddCost(function, self.variables).evaluator().set_description(cost.name)
+
+    def _add_constraint(self, block: Block) -> None:
+        self.constraints.append(block)
+        if len(block.lower) == 0:
+            return
+
+        def function(z: NDArray) -> NDArray:
+            x, derivatives = _split(z)
+            g, J = block.at(self.point(x))
+            if derivatives is None:
+                return g
+            rows = J @ self.rates(x) @ derivatives
+            return np.array([AutoDiffXd(float(v), row) for v, row in zip(g, rows, strict=True)])
+
+        # The quaternion's own bounds are in place already; joint limits too, for a solver that knows bounds.
+        if block.name != "limits":
+            self.prog.AddConstraint(function, block.lower, block.upper, self.variables, description=block.name)
+
+    def table(self, point: Point | None = None) -> str:
+        """A table of costs and constraints, with their values at a point (the initial guess where None)."""
+        point = self.start if point is None else point
+        lines = [
+            f"{self.name}: {self.hand.name} on {self.scene.object.name}, {len(self.contacts.spheres)} contacts, "
+            f"{self.prog.num_vars()} variables",
+            f"  {'cost':<14}{'weight':>9}{'value':>12}  meaning",
+        ]
+        for cost in self.costs:
+            lines.append(f"  {cost.name:<14}{cost.weight:>9.3g}{cost.value(point):>12.4g}  {cost.meaning}")
+        lines.append(f"  {'constraint':<14}{'rows':>9}{'violation':>12}  meaning")
+        for block in self.constraints:
+            violation = f"{block.violation(point):.3g} {block.unit}"
+            lines.append(f"  {block.name:<14}{len(block.lower):>9}{violation:>12}  {block.meaning}")
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        """The table at the initial guess."""
+        return self.table()
+
+
+def _split(z: NDArray) -> tuple[Array, Array | None]:
+    """Values and derivatives of what Drake passes to a Python cost: floats, or AutoDiffXd."""
+    if z.dtype != object:
+        return np.asarray(z, dtype=float), None
+    values = np.array([v.value() for v in z])
+    width = max(len(v.derivatives()) for v in z)
+    derivatives = np.zeros((len(z), width))
+    for row, v in zip(derivatives, z, strict=True):
+        d = v.derivatives()
+        if len(d):
+            row[:] = d
+    return values, derivatives

@@ -1,0 +1,608 @@
+"""Batched multi-start: many candidates descend the energy of Eq. (1) together.
+
+Every candidate has its own approach, posture and contact set (which fingers shall touch). Gradients are analytic: terms give gradients
+with respect to points, the kinematics' adjoint carries them to wrist and joints, and Adam steps on the tangent. Distances come from
+the object's grid; the polish that follows uses exact ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from xdex_drake.hand.collision import self_collision_pairs
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.kinematics import BatchedHand, rotation_step
+from xdex_drake.programs import terms
+from xdex_drake.scene.distance import DistanceGrid
+from xdex_drake.scene.tabletop import Scene
+
+
+@dataclass(frozen=True)
+class EnergyWeights:
+    """Weights of Eq. (1).
+
+    Attributes:
+        fc: Force closure.
+        dis: Contact distance.
+        sdf: Penetration of object and table.
+        j: Joint limits.
+        s: Self-collision.
+        pad: Alignment of contact normals with the pads of the fingers.
+    """
+
+    fc: float = 3.0
+    dis: float = 100.0
+    sdf: float = 100.0
+    j: float = 1.0
+    s: float = 50.0
+    pad: float = 3.0
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Settings of the batched search.
+
+    Attributes:
+        weights: Weights of the energy.
+        iterations: Number of Adam steps.
+        translation_step: First step of the wrist [m].
+        rotation_step: First step of the wrist [rad].
+        joint_step: First step of the joints, as a fraction of one radian.
+        oversample: How many starts are looked at for each one that descends.
+        contacts: Greatest number of fingers that touch.
+        friction_fraction: Fraction of the friction that the search's forces may use, so that a margin is left.
+        force_steps: Projected-gradient steps on the contact forces for each step of the search.
+        estimator: "wrench" for forces in exact cones, "normals" for the paper's estimator |G n|^2.
+        pad_cosine: Cosine between contact normal and pad normal that is enough.
+        clearance: Distance from the object that spheres without contact keep in the search [m].
+    """
+
+    weights: EnergyWeights = field(default_factory=EnergyWeights)
+    iterations: int = 150
+    translation_step: float = 0.004
+    rotation_step: float = 0.04
+    joint_step: float = 0.04
+    oversample: int = 8
+    contacts: int = 4
+    friction_fraction: float = 0.5
+    force_steps: int = 3
+    estimator: str = "wrench"
+    pad_cosine: float = 0.6
+    clearance: float = 0.001
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Results of a search, best first.
+
+    Attributes:
+        R_WHs: Wrist rotations, shape (B, 3, 3).
+        p_WHs: Wrist origins [m], shape (B, 3).
+        qs: Actuated joint values [rad or m], shape (B, n).
+        fingers: Which fingers shall touch, in the order of `hand.fingers`, shape (B, n_fingers).
+        energy: Total energy, shape (B,).
+        terms: Unweighted value of each term, each of shape (B,).
+    """
+
+    R_WHs: Array
+    p_WHs: Array
+    qs: Array
+    fingers: NDArray[np.bool_]
+    energy: Array
+    terms: dict[str, Array]
+
+
+class TorchGrid:
+    """A distance grid as tensors, looked up in batches."""
+
+    def __init__(self, grid: DistanceGrid, *, dtype: torch.dtype = torch.float32, device: str = "cpu") -> None:
+        """Copies the grid.
+
+        Args:
+            grid: The grid of an object.
+            dtype: Floating-point type.
+            device: Torch device.
+        """
+        self.shape = torch.tensor(grid.values.shape, device=device)
+        table = np.concatenate([grid.values[..., None], grid.gradients], axis=-1).reshape(-1, 4)
+        self.table = torch.as_tensor(table, dtype=dtype, device=device)
+        self.origin = torch.as_tensor(np.asarray(grid.origin), dtype=dtype, device=device)
+        self.spacing = float(grid.spacing)
+        self.last = (self.shape - 1).to(dtype)
+        self.strides = torch.tensor(
+            [grid.values.shape[1] * grid.values.shape[2], grid.values.shape[2], 1], device=device
+        )
+
+    def nearest(self, p_OPs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Distance by a first-order expansion about the nearest grid point: one look-up for each point.
+
+        Args:
+            p_OPs: Points in O [m], shape (..., 3).
+
+        Returns:
+            Signed distance [m], shape (...), and gradient, shape (..., 3).
+        """
+        cell = ((p_OPs - self.origin) / self.spacing).round()
+        cell = torch.minimum(cell.clamp_min(0.0), self.last)
+        row = self.table[(cell.long() * self.strides).sum(-1)]
+        away = p_OPs - (self.origin + cell * self.spacing)
+        gradient = row[..., 1:]
+        return row[..., 0] + (gradient * away).sum(-1), gradient
+
+    def smooth(self, p_OPs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Trilinear distance and gradient, with the derivative of the gradient, for the few points that are contacts.
+
+        Args:
+            p_OPs: Points in O [m], shape (..., 3).
+
+        Returns:
+            Signed distance [m], shape (...), unit gradient, shape (..., 3), and its Jacobian, shape (..., 3, 3).
+        """
+        x = (p_OPs - self.origin) / self.spacing
+        x = torch.minimum(x.clamp_min(0.0), self.last - 1e-3)
+        cell = x.floor()
+        t = x - cell
+        base = (cell.long() * self.strides).sum(-1)
+        value = torch.zeros_like(p_OPs[..., 0])
+        gradient = torch.zeros_like(p_OPs)
+        hessian = torch.zeros((*p_OPs.shape, 3), dtype=p_OPs.dtype, device=p_OPs.device)
+        for corner in range(8):
+            bits = [(corner >> 2) & 1, (corner >> 1) & 1, corner & 1]
+            w = [t[..., a] if bits[a] else 1.0 - t[..., a] for a in range(3)]
+            sign = [1.0 if bit else -1.0 for bit in bits]
+            row = self.table[base + (self.strides * torch.tensor(bits, device=base.device)).sum()]
+            weight = w[0] * w[1] * w[2]
+            slope = torch.stack([sign[0] * w[1] * w[2], sign[1] * w[0] * w[2], sign[2] * w[0] * w[1]], dim=-1)
+            value = value + weight * row[..., 0]
+            gradient = gradient + weight[..., None] * row[..., 1:]
+            hessian = hessian + row[..., 1:, None] * slope[..., None, :] / self.spacing
+        size = gradient.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        unit = gradient / size
+        hessian = (hessian - unit[..., None] * (unit[..., None, :] @ hessian)) / size[..., None]
+        return value, unit, hessian
+
+
+@dataclass(frozen=True)
+class SearchProblem:
+    """What a batch of candidates descends: hand, object and table as tensors.
+
+    Attributes:
+        batched: The hand.
+        grid: The object's distances.
+        R_WO: Rotation of the object, shape (3, 3).
+        p_WO: Origin of the object [m], shape (3,).
+        p_WOcm: Center of mass [m], shape (3,).
+        length: Length that divides torques [m].
+        friction: Coefficient of friction.
+        tip_spheres: For each finger the indices of its tip link's spheres, padded by repetition, shape (n_fingers, k).
+        tip_links: Index of each finger's tip link, shape (n_fingers,).
+        pads: Pad normal of each finger in its tip link, shape (n_fingers, 3).
+        pairs: Indices of pairs of spheres that must not overlap, shape (m, 2).
+        settings: Settings.
+    """
+
+    batched: BatchedHand
+    grid: TorchGrid
+    R_WO: torch.Tensor
+    p_WO: torch.Tensor
+    p_WOcm: torch.Tensor
+    length: float
+    friction: float
+    tip_spheres: torch.Tensor
+    tip_links: torch.Tensor
+    pads: torch.Tensor
+    pairs: torch.Tensor
+    settings: SearchSettings
+
+
+def coarse_spheres(hand: Hand) -> NDArray[np.int64]:
+    """Spheres that suffice for self-collision: every second one or so of each link, ends kept.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Indices into `hand.spheres`.
+    """
+    keep: list[int] = []
+    for link in range(len(hand.links)):
+        rows = np.flatnonzero(hand.sphere_links == link)
+        last: Array | None = None
+        for k, row in enumerate(rows):
+            center, radius = hand.spheres[row, :3], hand.spheres[row, 3]
+            if last is None or k == len(rows) - 1 or np.linalg.norm(center - last) > 0.8 * radius:
+                keep.append(int(row))
+                last = center
+    return np.array(keep, dtype=np.int64)
+
+
+def sphere_pairs(hand: Hand) -> NDArray[np.int64]:
+    """Pairs of coarse spheres on links that must stay apart.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Indices into `hand.spheres`, shape (m, 2).
+    """
+    coarse = coarse_spheres(hand)
+    link_of = hand.sphere_links[coarse]
+    apart = np.zeros((len(hand.links), len(hand.links)), dtype=bool)
+    for a, b in self_collision_pairs(hand):
+        apart[a, b] = apart[b, a] = True
+    i, j = np.triu_indices(len(coarse), 1)
+    keep = apart[link_of[i], link_of[j]]
+    return np.stack([coarse[i[keep]], coarse[j[keep]]], axis=1)
+
+
+def search_problem(
+    hand: Hand,
+    scene: Scene,
+    settings: SearchSettings | None = None,
+    *,
+    dtype: torch.dtype = torch.float32,
+    device: str = "cpu",
+) -> SearchProblem:
+    """Puts hand and scene into tensors.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        settings: Settings; the defaults where None.
+        dtype: Floating-point type.
+        device: Torch device.
+
+    Returns:
+        The problem.
+    """
+
+    def tensor(values: object) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values, dtype=float), dtype=dtype, device=device)
+
+    tips = [hand.link_index[f.tip_link] for f in hand.fingers]
+    rows = [np.flatnonzero(hand.sphere_links == tip) for tip in tips]
+    width = max(len(r) for r in rows)
+    padded = np.array([np.resize(r, width) for r in rows])
+    return SearchProblem(
+        batched=BatchedHand(hand, dtype=dtype, device=device),
+        grid=TorchGrid(scene.object.grid, dtype=dtype, device=device),
+        R_WO=tensor(scene.X_WO.rotation().matrix()),
+        p_WO=tensor(scene.X_WO.translation()),
+        p_WOcm=tensor(scene.X_WO @ scene.object.p_OOcm),
+        length=scene.object.length,
+        friction=scene.object.friction,
+        tip_spheres=torch.as_tensor(padded, device=device),
+        tip_links=torch.as_tensor(np.array(tips), device=device),
+        pads=tensor([f.n_LPad for f in hand.fingers]),
+        pairs=torch.as_tensor(sphere_pairs(hand), device=device),
+        settings=settings or SearchSettings(),
+    )
+
+
+@dataclass
+class State:
+    """Candidates on their way down; updated in place by `descend`.
+
+    Attributes:
+        R_WH: Wrist rotations, shape (B, 3, 3).
+        p_WH: Wrist origins [m], shape (B, 3).
+        q: Joint values, shape (B, n).
+        fingers: 1 where a finger shall touch, shape (B, n_fingers).
+        forces: Contact forces in W, warm-started from step to step, shape (B, n_fingers, 3).
+    """
+
+    R_WH: torch.Tensor
+    p_WH: torch.Tensor
+    q: torch.Tensor
+    fingers: torch.Tensor
+    forces: torch.Tensor
+
+
+def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+    """Energy of Eq. (1) for each candidate, with its gradient.
+
+    Updates `state.forces` by some projected-gradient steps first, so that the gradient is the envelope's.
+
+    Args:
+        problem: The problem.
+        state: The candidates.
+
+    Returns:
+        Energy, shape (B,), gradient with respect to (w_WH, v_WH, qdot), shape (B, 6 + n), and the unweighted terms.
+    """
+    batched, settings, weights = problem.batched, problem.settings, problem.settings.weights
+    B = state.q.shape[0]
+    poses = batched.forward(state.R_WH, state.p_WH, state.q)
+    centers = batched.points(poses, batched.sphere_links, batched.sphere_centers)
+    p_OPs = (centers - problem.p_WO) @ problem.R_WO
+    distance, slope_O = problem.grid.nearest(p_OPs)
+    slope = slope_O @ problem.R_WO.T
+    radii = batched.sphere_radii
+
+    # Contacts: of each finger the tip sphere that is nearest to the surface.
+    gaps = (distance - radii)[:, problem.tip_spheres]  # (B, n_fingers, k)
+    choice = gaps.argmin(-1)
+    sphere = torch.gather(problem.tip_spheres.expand(B, -1, -1), 2, choice[..., None])[..., 0]  # (B, n_fingers)
+    contact_centers = torch.gather(centers, 1, sphere[..., None].expand(-1, -1, 3))
+    contact_radii = radii[sphere]
+    d, n_O, H_O = problem.grid.smooth((contact_centers - problem.p_WO) @ problem.R_WO)
+    outward = n_O @ problem.R_WO.T
+    H = problem.R_WO @ H_O @ problem.R_WO.T
+    normals = -outward
+    points = contact_centers - d[..., None] * outward
+    mask = state.fingers
+
+    value_dis, g_dis = terms.contact_distance(d, contact_radii, mask)
+
+    # Penetration: the fingers that touch keep no clearance.
+    keep_off = radii + settings.clearance
+    value_sdf, g_sdf = terms.penetration(distance, keep_off)
+    height = centers[..., 2]
+    value_table, g_table = terms.penetration(height, keep_off)
+
+    force = state.forces * mask[..., None]
+    mu = settings.friction_fraction * problem.friction
+    if settings.estimator == "normals":
+        force = normals * mask[..., None]
+    else:
+        step = 1.0 / (2.0 * mask.sum(-1).clamp_min(1.0))[:, None, None]
+        for _ in range(settings.force_steps):
+            residual = terms.wrench(points, force, problem.p_WOcm, problem.length)
+            torque = residual[:, None, :3] / problem.length
+            descent = residual[:, None, 3:] + terms.cross(torque + 0.0 * points, points - problem.p_WOcm)
+            force = terms.project_forces(force - step * descent, normals, mu, 0.3, 1.5) * mask[..., None]
+        state.forces = force
+    value_fc, g_point, g_normal = terms.wrench_energy(points, normals, force, problem.p_WOcm, problem.length)
+
+    pad_W = (poses.R_WLs[:, problem.tip_links] @ problem.pads[:, :, None])[..., 0]
+    value_pad, g_pad_normal, g_pad = terms.alignment(normals, pad_W, settings.pad_cosine, mask)
+
+    a, b = problem.pairs[:, 0], problem.pairs[:, 1]
+    value_s, g_a, g_b = terms.self_collision(centers[:, a], centers[:, b], radii[a] + radii[b])
+    value_j, g_j = terms.joint_limits(state.q, batched.limits)
+
+    # Gradients with respect to sphere centers.
+    g_centers = weights.sdf * g_sdf[..., None] * slope
+    g_centers[..., 2] += weights.sdf * g_table
+    g_centers.index_add_(1, a, weights.s * g_a)
+    g_centers.index_add_(1, b, weights.s * g_b)
+    on_normal = weights.fc * g_normal + weights.pad * g_pad_normal
+    on_point = weights.fc * g_point
+    # A contact is the surface point nearest to its sphere: dp = (1 - n n^T - d H) dc, dn_in = -H dc.
+    Ht = H.transpose(-1, -2)
+    g_contact = (
+        on_point
+        - outward * (outward * on_point).sum(-1, keepdim=True)
+        - d[..., None] * (Ht @ on_point[..., None])[..., 0]
+        - (Ht @ on_normal[..., None])[..., 0]
+        + weights.dis * g_dis[..., None] * outward
+    )
+    gradient = batched.pull_back(poses, batched.sphere_links, centers, g_centers)
+    tips = problem.tip_links
+    gradient = gradient + batched.pull_back(
+        poses, tips, contact_centers, g_contact, torque=weights.pad * terms.cross(pad_W, g_pad)
+    )
+    gradient[:, 6:] += weights.j * g_j
+    values = {
+        "fc": value_fc,
+        "dis": value_dis,
+        "sdf": value_sdf + value_table,
+        "j": value_j,
+        "s": value_s,
+        "pad": value_pad,
+    }
+    energy = sum(getattr(weights, name) * value for name, value in values.items())
+    return energy, gradient, values  # type: ignore[return-value]
+
+
+def descend(problem: SearchProblem, state: State) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """Adam on the tangent, in place; joints are clipped to their limits.
+
+    Args:
+        problem: The problem.
+        state: The candidates, moved in place.
+
+    Returns:
+        Energy at the end, shape (B,), and its unweighted terms.
+    """
+    settings = problem.settings
+    n = state.q.shape[1]
+    first = torch.tensor(
+        [settings.rotation_step] * 3 + [settings.translation_step] * 3 + [settings.joint_step] * n,
+        dtype=state.q.dtype,
+        device=state.q.device,
+    )
+    m = torch.zeros((state.q.shape[0], 6 + n), dtype=state.q.dtype, device=state.q.device)
+    v = torch.zeros_like(m)
+    low, high = problem.batched.limits
+    for k in range(settings.iterations):
+        _, gradient, _ = evaluate(problem, state)
+        m = 0.9 * m + 0.1 * gradient
+        v = 0.98 * v + 0.02 * gradient * gradient
+        rate = first * (0.03 + 0.97 * 0.5 * (1.0 + np.cos(np.pi * k / settings.iterations)))
+        step = -rate * (m / (1.0 - 0.9 ** (k + 1))) / ((v / (1.0 - 0.98 ** (k + 1))).sqrt() + 1e-6)
+        state.R_WH = rotation_step(state.R_WH, step[:, :3])
+        state.p_WH = state.p_WH + step[:, 3:6]
+        state.q = torch.minimum(torch.maximum(state.q + step[:, 6:], low), high)
+    energy, _, values = evaluate(problem, state)
+    return energy, values
+
+
+def grasp_center(hand: Hand) -> tuple[Array, Array]:
+    """Where a hand at rest would hold an object, and from which direction it comes, in H.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        The midpoint of the thumb's tip and the mean of the other tips [m], shape (3,), and the unit vector from the palm to it.
+    """
+    from pydrake.math import RigidTransform
+
+    from xdex_drake.hand.kinematics import Configuration
+
+    at_rest = Configuration.at(hand, RigidTransform(), hand.q_rest)
+    links = np.array([hand.link_index[f.tip_link] for f in hand.fingers])
+    tips = at_rest.points(links, np.array([f.p_LTip for f in hand.fingers]))
+    thumb = np.array([f.name == "thumb" for f in hand.fingers])
+    if thumb.any() and not thumb.all():
+        center = 0.5 * (tips[thumb].mean(0) + tips[~thumb].mean(0))
+    else:
+        center = tips.mean(0)
+    # The palm: the mean of the roots of the fingers.
+    roots = np.array([hand.link_index[f.links[0]] for f in hand.fingers])
+    direction = center - at_rest.p_WLs[roots].mean(0)
+    return center, direction / np.linalg.norm(direction)
+
+
+def random_rotations(rng: np.random.Generator, count: int) -> Array:
+    """Uniformly random rotations, shape (count, 3, 3)."""
+    q = rng.normal(size=(count, 4))
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        axis=1,
+    )
+
+
+def random_contact_sets(hand: Hand, rng: np.random.Generator, count: int, contacts: int) -> NDArray[np.bool_]:
+    """Which fingers shall touch: the thumb, where there is one, and some neighbouring others.
+
+    Args:
+        hand: The hand.
+        rng: Source of randomness.
+        count: How many sets.
+        contacts: Greatest number of fingers in a set.
+
+    Returns:
+        Sets, in the order of `hand.fingers`, shape (count, n_fingers).
+    """
+    names = [f.name for f in hand.fingers]
+    thumb = [k for k, name in enumerate(names) if name == "thumb"]
+    others = [k for k, name in enumerate(names) if name != "thumb"]
+    sets = np.zeros((count, len(names)), dtype=bool)
+    most = min(contacts - len(thumb), len(others))
+    # Two hard fingers cannot resist a torque about the line between them, so pinches are left to hands that can do no more.
+    least = min(2, most)
+    for row in sets:
+        size = int(rng.integers(least, most + 1))
+        first = int(rng.integers(0, len(others) - size + 1))
+        row[thumb] = True
+        row[others[first : first + size]] = True
+    return sets
+
+
+def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, seed: int) -> State:
+    """Random starts: the grasp center near the object's, the hand coming from above or from a side.
+
+    More starts than asked for are drawn and those kept that lie least in object and table, spread over the octants of approach.
+
+    Args:
+        problem: The problem.
+        hand: The hand.
+        scene: The scene.
+        count: Number of starts.
+        seed: Seed.
+
+    Returns:
+        The starts.
+    """
+    rng = np.random.default_rng(seed)
+    batched, settings = problem.batched, problem.settings
+    total = count * settings.oversample
+    center_H, direction_H = grasp_center(hand)
+    R_WHs = random_rotations(rng, 4 * total)
+    # From below the table no hand comes; straight sideways is as far as it goes.
+    approach = R_WHs @ direction_H
+    keep = np.flatnonzero(approach[:, 2] < 0.35)[:total]
+    R_WHs, approach = R_WHs[keep], approach[keep]
+    total = len(keep)
+    vertices = scene.X_WO @ scene.object.vertices.T  # (3, n)
+    low, high = vertices.min(1), vertices.max(1)
+    p_WOcm = scene.X_WO @ scene.object.p_OOcm
+    aim = p_WOcm + 0.3 * (high - low) * rng.uniform(-1.0, 1.0, size=(total, 3))
+    # Fingers come from the side that the palm is on: leave the palm outside the object.
+    p_WHs = aim - np.einsum("nab,b->na", R_WHs, center_H) - approach * rng.uniform(0.0, 0.04, size=(total, 1))
+    limits = hand.limits
+    spread = 0.12 * (limits[1] - limits[0])
+    qs = np.clip(hand.q_rest + spread * rng.normal(size=(total, len(hand.q_rest))), limits[0], limits[1])
+    fingers = random_contact_sets(hand, rng, total, settings.contacts)
+
+    def tensor(values: Array) -> torch.Tensor:
+        return torch.as_tensor(values, dtype=batched.dtype, device=batched.device)
+
+    poses = batched.forward(tensor(R_WHs), tensor(p_WHs), tensor(qs))
+    centers = batched.points(poses, batched.sphere_links, batched.sphere_centers)
+    # Lift out of the table whatever reaches into it: cheaper than to descend.
+    sunk = (batched.sphere_radii - centers[..., 2]).max(-1).values.clamp_min(0.0)
+    distance, _ = problem.grid.nearest((centers - problem.p_WO) @ problem.R_WO)
+    inside = (batched.sphere_radii - distance).clamp_min(0.0).sum(-1)
+    cost = (inside + 10.0 * sunk).cpu().numpy()
+    octant = (approach > 0.0) @ np.array([4, 2, 1])
+    chosen: list[int] = []
+    queues = [list(np.flatnonzero(octant == o)[np.argsort(cost[octant == o])]) for o in range(8)]
+    while len(chosen) < min(count, total):
+        for queue in queues:
+            if queue and len(chosen) < count:
+                chosen.append(int(queue.pop(0)))
+    rows = np.array(chosen)
+    p_start = tensor(p_WHs[rows])
+    p_start[:, 2] += sunk[torch.as_tensor(rows, device=batched.device)].clamp_max(0.05)
+    mask = tensor(fingers[rows].astype(float))
+    return State(
+        R_WH=tensor(R_WHs[rows]),
+        p_WH=p_start,
+        q=tensor(qs[rows]),
+        fingers=mask,
+        forces=torch.zeros((len(rows), len(hand.fingers), 3), dtype=batched.dtype, device=batched.device),
+    )
+
+
+def search(
+    hand: Hand,
+    scene: Scene,
+    *,
+    count: int = 64,
+    seed: int = 0,
+    settings: SearchSettings | None = None,
+    device: str = "cpu",
+) -> Candidates:
+    """Descends a batch of random starts.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        count: Number of candidates.
+        seed: Seed.
+        settings: Settings; the defaults where None.
+        device: Torch device.
+
+    Returns:
+        The candidates, lowest energy first.
+    """
+    problem = search_problem(hand, scene, settings, device=device)
+    with torch.no_grad():
+        state = sample_starts(problem, hand, scene, count, seed)
+        energy, values = descend(problem, state)
+    order = torch.argsort(energy)
+
+    def array(t: torch.Tensor) -> Array:
+        return t[order].cpu().numpy().astype(float)
+
+    return Candidates(
+        R_WHs=array(state.R_WH),
+        p_WHs=array(state.p_WH),
+        qs=array(state.q),
+        fingers=array(state.fingers) > 0.5,
+        energy=array(energy),
+        terms={name: array(value) for name, value in values.items()},
+    )
+

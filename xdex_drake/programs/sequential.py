@@ -1,0 +1,135 @@
+"""A sequential convex solver for grasp programs.
+
+Each iteration linearises the constraints about the point, adds one elastic slack for each block of inequalities, and solves a small convex
+QP with DAQP inside a trust region. Equalities are kept by a stiff quadratic penalty, which lets a step trade a tenth of a micrometre for
+feasibility of the subproblem; what is left is judged afterwards, by the program's own residuals.
+"""
+
+from __future__ import annotations
+
+import daqp
+import numpy as np
+
+from xdex_drake.hand.description import Array
+from xdex_drake.programs.point import Point
+from xdex_drake.programs.program import GraspProgram, LeastSquares
+
+EQUALITY = 1e3
+"""Penalty on squared violation of equalities."""
+
+SLACK = 30.0
+"""Linear penalty on the slack of each inequality block."""
+
+FAR_ROWS = 15.0
+"""Inequality rows slacker than this are left out of a subproblem [mm]."""
+
+
+def _merit(program: GraspProgram, point: Point) -> float:
+    total = sum(cost.value(point) for cost in program.costs)
+    for block in program.constraints:
+        g, _ = block.at(point)
+        miss = np.maximum(block.lower - g, g - block.upper).clip(min=0.0)
+        equal = block.lower == block.upper
+        total += 0.5 * EQUALITY * float((miss[equal] ** 2).sum()) + SLACK * float(miss[~equal].max(initial=0.0))
+    return total
+
+
+def step(program: GraspProgram, point: Point, trust: float) -> Array:
+    """Solves one convex subproblem.
+
+    Args:
+        program: The program.
+        point: The point to linearise about.
+        trust: Trust region: radians for wrist and joints; a tenth of it in metres for translation.
+
+    Returns:
+        Step along the tangent, shape (point.size,); zero where the subproblem could not be solved.
+    """
+    size = point.size
+    n = len(point.k.q)
+    P = 1e-4 * np.eye(size)
+    c = np.zeros(size)
+    for cost in program.costs:
+        if isinstance(cost, LeastSquares):
+            r, J = cost.evaluate(point)
+            P += cost.weight * J.T @ J
+            c += cost.weight * (J.T @ r)
+        else:
+            c += cost.gradient(point)
+            P += 1e-2 * np.eye(size)
+    rows, lows, highs, owner = [], [], [], []
+    blocks = 0
+    for block in program.constraints:
+        g, J = block.at(point)
+        equal = block.lower == block.upper
+        if equal.any():
+            r, J_e = (g - block.lower)[equal], J[equal]
+            P += EQUALITY * J_e.T @ J_e
+            c += EQUALITY * (J_e.T @ r)
+        near = ~equal & ((g - block.lower < FAR_ROWS) | (block.upper - g < FAR_ROWS))
+        if near.any():
+            rows.append(J[near])
+            lows.append((block.lower - g)[near])
+            highs.append((block.upper - g)[near])
+            owner.append(np.full(int(near.sum()), blocks))
+            blocks += 1
+    bound = np.concatenate([np.full(3, trust), np.full(3, 0.1 * trust), np.full(n, trust), np.full(size - 6 - n, 10.0)])
+    H = np.zeros((size + blocks, size + blocks))
+    H[:size, :size] = P
+    H[size:, size:] = 1e-3 * np.eye(blocks)
+    f = np.concatenate([c, np.full(blocks, SLACK)])
+    upper = np.concatenate([bound, np.full(blocks, 1e6)])
+    lower = np.concatenate([-bound, np.zeros(blocks)])
+    if blocks:
+        A = np.concatenate(rows)
+        low, high, own = np.concatenate(lows), np.concatenate(highs), np.concatenate(owner)
+        S = np.zeros((len(A), blocks))
+        S[np.arange(len(A)), own] = 1.0
+        # low <= A x + s  and  A x - s <= high, as rows of one-sided bounds.
+        has_low, has_high = np.isfinite(low), np.isfinite(high)
+        A_all = np.concatenate([np.hstack([A, S])[has_low], np.hstack([A, -S])[has_high]])
+        low_all = np.concatenate([low[has_low], np.full(int(has_high.sum()), -1e30)])
+        high_all = np.concatenate([np.full(int(has_low.sum()), 1e30), high[has_high]])
+    else:
+        A_all, low_all, high_all = np.zeros((0, size)), np.zeros(0), np.zeros(0)
+    x, _, flag, _ = daqp.solve(
+        np.ascontiguousarray(H),
+        f,
+        np.ascontiguousarray(A_all),
+        np.concatenate([upper, high_all]),
+        np.concatenate([lower, low_all]),
+        np.zeros(len(upper) + len(high_all), dtype=np.int32),
+    )
+    return np.asarray(x[:size]) if flag > 0 else np.zeros(size)
+
+
+def solve_sequential(program: GraspProgram, *, iterations: int = 20, trust: float = 0.2) -> tuple[Point, int]:
+    """Iterates convex subproblems from the program's initial guess.
+
+    Args:
+        program: The program.
+        iterations: Greatest number of subproblems.
+        trust: First trust region [rad].
+
+    Returns:
+        The last point that lowered the merit, and the number of subproblems solved.
+    """
+    point = program.start
+    merit = _merit(program, point)
+    for k in range(iterations):
+        move = step(program, point, trust)
+        if not move.any():
+            return point, k + 1
+        trial = point.moved(move)
+        trial_merit = _merit(program, trial)
+        if trial_merit < merit:
+            gain = merit - trial_merit
+            point, merit = trial, trial_merit
+            trust = min(1.5 * trust, 0.4)
+            if gain < 1e-3 * max(1.0, abs(merit)) or np.abs(move[: 6 + len(point.k.q)]).max() < 1e-5:
+                return point, k + 1
+        else:
+            trust *= 0.3
+            if trust < 1e-4:
+                return point, k + 1
+    return point, iterations

@@ -1,0 +1,130 @@
+"""Solves a grasp program with a solver of choice and judges the result by our own residuals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pydrake.solvers import IpoptSolver, NloptSolver, SnoptSolver, SolverInterface, SolverOptions
+
+from xdex_drake.errors import ConfigError
+from xdex_drake.programs.point import Point
+from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.sequential import solve_sequential
+
+SOLVERS = ("sequential", "snopt", "ipopt", "nlopt")
+
+TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-6, "-": 2e-2}
+"""Greatest violation that counts as satisfied, by the unit of a block. Forces are balanced exactly afterwards, by a cone program."""
+
+
+@dataclass(frozen=True)
+class ProgramResult:
+    """Result of a solve.
+
+    Attributes:
+        status: "solved", or "infeasible" where a constraint is left violated.
+        point: The final point.
+        costs: Value of each cost by name.
+        violations: Greatest violation of each constraint by name, in the block's unit.
+        worst: Name of the constraint that is violated most, relative to its tolerance; empty where all hold.
+        iterations: Iterations of the solver, -1 where it does not say.
+        seconds: Wall time.
+        solver: Name of the solver.
+    """
+
+    status: str
+    point: Point
+    costs: dict[str, float]
+    violations: dict[str, float]
+    worst: str
+    iterations: int
+    seconds: float
+    solver: str
+
+    @property
+    def success(self) -> bool:
+        """Whether every constraint holds."""
+        return self.status == "solved"
+
+    def __str__(self) -> str:
+        """A short table."""
+        lines = [f"{self.status} by {self.solver} in {1e3 * self.seconds:.0f} ms, {self.iterations} iterations"]
+        lines += [f"  cost {name:<14}{value:>12.4g}" for name, value in self.costs.items()]
+        lines += [f"  violation {name:<14}{value:>12.3g}" for name, value in self.violations.items()]
+        return "\n".join(lines)
+
+
+def _drake_solver(name: str) -> tuple[SolverInterface, SolverOptions]:
+    options = SolverOptions()
+    if name == "snopt":
+        solver = SnoptSolver()
+        options.SetOption(solver.solver_id(), "Major iterations limit", 200)
+        options.SetOption(solver.solver_id(), "Major feasibility tolerance", 1e-4)
+        options.SetOption(solver.solver_id(), "Major optimality tolerance", 1e-3)
+        return solver, options
+    if name == "ipopt":
+        solver = IpoptSolver()
+        options.SetOption(solver.solver_id(), "max_iter", 100)
+        options.SetOption(solver.solver_id(), "tol", 1e-3)
+        options.SetOption(solver.solver_id(), "max_cpu_time", 10.0)
+        return solver, options
+    solver = NloptSolver()
+    options.SetOption(solver.solver_id(), "algorithm", "LD_SLSQP")
+    options.SetOption(solver.solver_id(), "max_eval", 200)
+    return solver, options
+
+
+def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
+    """Violations of all constraints at a point, and the name of the worst that exceeds its tolerance.
+
+    Args:
+        program: The program.
+        point: The point.
+
+    Returns:
+        Violation by name, in the block's unit, and the name of the worst; empty where all hold.
+    """
+    violations = {block.name: block.violation(point) for block in program.constraints}
+    relative = {block.name: violations[block.name] / TOLERANCES[block.unit] for block in program.constraints}
+    worst = max(relative, key=lambda name: relative[name], default="")
+    return violations, worst if worst and relative[worst] > 1.0 else ""
+
+
+def solve(program: GraspProgram, *, solver: str = "sequential", iterations: int = 20) -> ProgramResult:
+    """Solves a grasp program from its initial guess.
+
+    Args:
+        program: The program.
+        solver: "sequential" (ours, the default), or Drake's "snopt", "ipopt" or "nlopt".
+        iterations: Greatest number of subproblems of the sequential solver.
+
+    Returns:
+        The result; a failed solve is a result with the constraint that failed, not an exception.
+
+    Raises:
+        ConfigError: The solver is not known.
+    """
+    if solver not in SOLVERS:
+        raise ConfigError(f"solver {solver!r} is not known; choose one of {', '.join(SOLVERS)}")
+    start = time.perf_counter()
+    if solver == "sequential":
+        point, count = solve_sequential(program, iterations=iterations)
+    else:
+        drake_solver, options = _drake_solver(solver)
+        result = drake_solver.Solve(program.prog, program.prog.initial_guess(), options)
+        point, count = program.point(result.GetSolution(program.variables)), -1
+    seconds = time.perf_counter() - start
+    violations, worst = judge(program, point)
+    costs = {cost.name: cost.value(point) for cost in program.costs}
+    return ProgramResult("infeasible" if worst else "solved", point, costs, violations, worst, count, seconds, solver)
+
+
+def most_violated(results: Sequence[ProgramResult]) -> dict[str, int]:
+    """How often each constraint was the one that could not be met, over many solves."""
+    counts: dict[str, int] = {}
+    for result in results:
+        if result.worst:
+            counts[result.worst] = counts.get(result.worst, 0) + 1
+    return dict(sorted(counts.items(), key=lambda item: -item[1]))

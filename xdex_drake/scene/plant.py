@@ -1,0 +1,198 @@
+"""The one builder of the joint Drake plant of hand, object and table, which programs, viewers and simulation share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    DiscreteContactApproximation,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    PdControllerGains,
+    PrismaticJoint,
+    RigidBody,
+    SpatialInertia,
+    WeldJoint,
+)
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.plant import add_hand
+from xdex_drake.scene.bodies import add_object, add_table
+from xdex_drake.scene.tabletop import Scene
+
+
+@dataclass(frozen=True)
+class PlantSettings:
+    """Physics of the joint plant.
+
+    Attributes:
+        time_step: Length of a discrete step [s].
+        friction: Coefficient of friction of hand and table; the object's own is in its model.
+        point_stiffness: Stiffness of point contact [N/m].
+        kp: Proportional gain of every finger joint [N m/rad].
+        kd: Derivative gain of every finger joint [N m s/rad].
+        carriage_kp: Proportional gain of the carriage that carries the wrist [N/m].
+        carriage_kd: Derivative gain of the carriage [N s/m].
+    """
+
+    time_step: float = 0.005
+    friction: float = 0.6
+    point_stiffness: float = 1e5
+    kp: float = 1.0
+    kd: float = 0.1
+    carriage_kp: float = 1e4
+    carriage_kd: float = 6e2
+
+
+@dataclass(frozen=True)
+class ScenePlant:
+    """A finalized plant with its diagram.
+
+    Attributes:
+        diagram: Diagram of plant and scene graph (and of what `extend` added).
+        plant: The plant.
+        scene_graph: The scene graph.
+        hand: The hand.
+        scene: The scene, None where the hand is alone.
+        hand_instance: Model instance of the hand.
+        links: The hand's bodies, in the order of `hand.links`.
+        object_body: The object, None where the hand is alone.
+        carriage: The three prismatic joints (x, y, z) that carry the wrist, empty where the hand floats.
+        mount: Frame of the carriage to which the wrist is welded, None where the hand floats.
+    """
+
+    diagram: Diagram
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    hand: Hand
+    scene: Scene | None
+    hand_instance: ModelInstanceIndex
+    links: tuple[RigidBody, ...]
+    object_body: RigidBody | None
+    carriage: tuple[PrismaticJoint, ...]
+    mount: FixedOffsetFrame | None
+
+    def set_joints(self, context: Context, q: Array) -> None:
+        """Sets the hand's joints, coupled ones included.
+
+        Args:
+            context: Context of the plant.
+            q: Actuated joint values [rad or m], shape (n,).
+        """
+        positions = self.plant.GetPositions(context, self.hand_instance)
+        q_full = self.hand.q_full(np.asarray(q, dtype=float))
+        for joint, value in zip(self.hand.joints, q_full, strict=True):
+            handle = self.plant.GetJointByName(joint.name, self.hand_instance)
+            # Positions of the instance may start with those of a floating base.
+            positions[handle.position_start() - self._first_position] = value
+        self.plant.SetPositions(context, self.hand_instance, positions)
+
+    @property
+    def _first_position(self) -> int:
+        base = self.links[0]
+        starts = [self.plant.GetJointByName(j.name, self.hand_instance).position_start() for j in self.hand.joints]
+        if base.is_floating_base_body():
+            starts.append(base.floating_positions_start())
+        return min(starts)
+
+    def set_wrist(self, context: Context, X_WH: RigidTransform) -> None:
+        """Puts the wrist frame at X_WH: by the floating base, or by the mount with the carriage at zero.
+
+        Args:
+            context: Context of the plant.
+            X_WH: Pose of the wrist frame.
+        """
+        X_HB = RigidTransform(RotationMatrix(self.hand.R_HB), self.hand.p_HB)
+        if self.mount is None:
+            self.plant.SetFreeBodyPose(context, self.links[0], X_WH @ X_HB)
+        else:
+            self.mount.SetPoseInParentFrame(context, X_WH)
+            for joint in self.carriage:
+                joint.set_translation(context, 0.0)
+
+    def set_object(self, context: Context, X_WO: RigidTransform) -> None:
+        """Puts the object at X_WO."""
+        assert self.object_body is not None
+        self.plant.SetFreeBodyPose(context, self.object_body, X_WO)
+
+
+def build_plant(
+    hand: Hand,
+    scene: Scene | None = None,
+    *,
+    carriage: bool = False,
+    settings: PlantSettings | None = None,
+    extend: Callable[[DiagramBuilder, MultibodyPlant, SceneGraph], None] | None = None,
+) -> ScenePlant:
+    """Builds hand, object and table into one plant.
+
+    Args:
+        hand: The hand.
+        scene: The object on its table; None for the hand alone.
+        carriage: Whether the wrist rides on three driven slides, as in a lift; otherwise it floats.
+        settings: Physics; the defaults where None.
+        extend: Called before the diagram is built, to add a visualizer or a camera.
+
+    Returns:
+        The finalized plant in its diagram.
+    """
+    settings = settings or PlantSettings()
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=settings.time_step)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
+    instance = add_hand(
+        plant,
+        hand,
+        friction=settings.friction,
+        point_stiffness=settings.point_stiffness,
+        pd_gains=(settings.kp, settings.kd),
+    )
+    links = tuple(plant.GetBodyByName(link.name, instance) for link in hand.links)
+    X_HB = RigidTransform(RotationMatrix(hand.R_HB), hand.p_HB)
+    slides: list[PrismaticJoint] = []
+    mount = None
+    if carriage:
+        carriage_instance = plant.AddModelInstance("carriage")
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.05)
+        parent = plant.world_body()
+        for name, axis in zip("xyz", np.eye(3), strict=True):
+            body = plant.AddRigidBody(f"carriage_{name}", carriage_instance, inertia)
+            joint = plant.AddJoint(
+                PrismaticJoint(f"carriage_{name}", parent.body_frame(), body.body_frame(), axis, damping=0.0)
+            )
+            actuator = plant.AddJointActuator(f"carriage_{name}", joint)
+            actuator.set_controller_gains(PdControllerGains(p=settings.carriage_kp, d=settings.carriage_kd))
+            slides.append(joint)
+            parent = body
+        mount = plant.AddFrame(FixedOffsetFrame("mount", parent.body_frame(), RigidTransform()))
+        plant.AddJoint(WeldJoint("wrist", mount, links[0].body_frame(), X_HB))
+        plant.set_gravity_enabled(carriage_instance, False)
+    plant.set_gravity_enabled(instance, False)
+    object_body = None
+    if scene is not None:
+        object_body = add_object(plant, scene.object, point_stiffness=settings.point_stiffness)
+        add_table(plant, settings.friction, point_stiffness=settings.point_stiffness)
+    plant.Finalize()
+    if extend is not None:
+        extend(builder, plant, scene_graph)
+    return ScenePlant(
+        builder.Build(),
+        plant,
+        scene_graph,
+        hand,
+        scene,
+        instance,
+        links,
+        object_body,
+        tuple(slides),
+        mount,
+    )

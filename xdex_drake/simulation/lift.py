@@ -1,0 +1,243 @@
+"""Lifts a grasped object in Drake and says why it failed where it failed."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from xdex_drake.grasp import Array, Grasp, Lift
+from xdex_drake.hand.description import Hand
+from xdex_drake.scene.plant import ScenePlant, build_plant
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+
+_log = logging.getLogger(__name__)
+
+FAILURE_REASONS = (
+    "simulation_failed",
+    "timeout",
+    "pregrasp_in_contact",
+    "table_collision",
+    "not_grasped",
+    "slipped",
+    "too_few_fingertips",
+)
+
+
+@dataclass(frozen=True)
+class LiftRig:
+    """The plant of one hand and one scene, ready to lift any number of grasps.
+
+    Attributes:
+        protocol: The protocol.
+        bench: Hand on its carriage, object and table.
+        simulator: Simulator of `bench.diagram`.
+    """
+
+    protocol: LiftProtocol
+    bench: ScenePlant
+    simulator: Simulator
+
+
+def lift_rig(
+    hand: Hand,
+    scene: Scene,
+    *,
+    protocol: LiftProtocol = LIFT,
+    extend: Callable[[DiagramBuilder, MultibodyPlant, SceneGraph], None] | None = None,
+) -> LiftRig:
+    """Builds the plant of a lift.
+
+    Args:
+        hand: The hand.
+        scene: The object on its table.
+        protocol: The protocol.
+        extend: Called before the diagram is built, to add a visualizer.
+
+    Returns:
+        The rig; lifts on one rig do not influence each other.
+    """
+    bench = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=extend)
+    return LiftRig(protocol, bench, Simulator(bench.diagram))
+
+
+@dataclass(frozen=True)
+class _Touch:
+    """Which links touch the object, and the table, at one moment."""
+
+    object_links: frozenset[int]
+    table_links: frozenset[int]
+
+
+def _touching(bench: ScenePlant, context: Context) -> _Touch:
+    results = bench.plant.get_contact_results_output_port().Eval(context)
+    index_of = {body.index(): k for k, body in enumerate(bench.links)}
+    object_index = bench.object_body.index() if bench.object_body is not None else None
+    on_object, on_table = set(), set()
+    for k in range(results.num_point_pair_contacts()):
+        info = results.point_pair_contact_info(k)
+        for one, other in ((info.bodyA_index(), info.bodyB_index()), (info.bodyB_index(), info.bodyA_index())):
+            if one in index_of:
+                if other == object_index:
+                    on_object.add(index_of[one])
+                elif other == bench.plant.world_body().index():
+                    on_table.add(index_of[one])
+    return _Touch(frozenset(on_object), frozenset(on_table))
+
+
+def _smooth(s: float) -> float:
+    """Ramp from 0 to 1 with zero velocity at both ends."""
+    s = min(max(s, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def targets(grasp: Grasp, protocol: LiftProtocol, t: float) -> tuple[Array, Array]:
+    """Joint targets and carriage offset at a time of the lift.
+
+    Args:
+        grasp: A grasp with pre-grasp and squeeze.
+        protocol: The protocol.
+        t: Time [s].
+
+    Returns:
+        q_target [rad or m], shape (n,), and the carriage's offset from the grasp's wrist position [m], shape (3,).
+    """
+    assert grasp.q_pregrasp is not None and grasp.q_squeeze is not None and grasp.X_WH_pregrasp is not None
+    close = _smooth(t / protocol.close_s)
+    squeeze = _smooth((t - protocol.close_s) / protocol.squeeze_s)
+    rise = _smooth((t - protocol.close_s - protocol.squeeze_s) / protocol.rise_s)
+    q = grasp.q_pregrasp + close * (grasp.q - grasp.q_pregrasp) + squeeze * (grasp.q_squeeze - grasp.q)
+    back = grasp.X_WH_pregrasp.translation() - grasp.X_WH.translation()
+    return q, (1.0 - close) * back + np.array([0.0, 0.0, rise * protocol.rise_m])
+
+
+def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
+    """Simulates one lift.
+
+    Args:
+        rig: The rig of the grasp's hand and scene.
+        grasp: A grasp with pre-grasp and squeeze targets.
+
+    Returns:
+        Verdict, with the first failure reason of `FAILURE_REASONS` that matches where it failed.
+    """
+    protocol, bench, simulator = rig.protocol, rig.bench, rig.simulator
+    start = time.perf_counter()
+    context = simulator.get_mutable_context()
+    bench.diagram.SetDefaultContext(context)
+    context.SetTime(0.0)
+    plant = bench.plant
+    plant_context = plant.GetMyMutableContextFromRoot(context)
+    instance = bench.carriage[0].model_instance()
+    hand_port = plant.get_desired_state_input_port(bench.hand_instance)
+    carriage_port = plant.get_desired_state_input_port(instance)
+    # The mount stands at the grasp; the pre-grasp is an offset of the carriage.
+    bench.set_wrist(plant_context, grasp.X_WH)
+    n = len(grasp.q)
+    q, offset = targets(grasp, protocol, 0.0)
+    bench.set_joints(plant_context, q)
+    for joint, value in zip(bench.carriage, offset, strict=True):
+        joint.set_translation(plant_context, value)
+    bench.set_object(plant_context, grasp.X_WO)
+    assert bench.object_body is not None and bench.scene is not None
+    p_OOcm = bench.scene.object.p_OOcm
+
+    def command(t: float) -> None:
+        q, offset = targets(grasp, protocol, t)
+        hand_port.FixValue(plant_context, np.concatenate([q, np.zeros(n)]))
+        carriage_port.FixValue(plant_context, np.concatenate([offset, np.zeros(3)]))
+
+    def center_height() -> float:
+        X_WO = plant.EvalBodyPoseInWorld(plant_context, bench.object_body)
+        return float((X_WO @ p_OOcm)[2])
+
+    def result(reason: str, height: float, tips: tuple[str, ...]) -> Lift:
+        return Lift(protocol.name, reason == "", reason, height, tips, time.perf_counter() - start)
+
+    command(0.0)
+    z0 = center_height()
+    begin = _touching_at_rest(bench, plant_context)
+    if begin.object_links:
+        return result("pregrasp_in_contact", 0.0, ())
+    if begin.table_links:
+        return result("table_collision", 0.0, ())
+    step = protocol.plant.time_step
+    squeezed_at = protocol.close_s + protocol.squeeze_s
+    after_squeeze: _Touch | None = None
+    hit_table = False
+    try:
+        simulator.Initialize()
+        for k in range(round(protocol.duration_s / step)):
+            t = k * step
+            command(t + step)
+            simulator.AdvanceTo((k + 1) * step)
+            if k % 20 == 0:
+                if time.perf_counter() - start > protocol.wall_limit_s:
+                    return result("timeout", center_height() - z0, ())
+                if t <= squeezed_at:
+                    hit_table = hit_table or bool(_touching(bench, plant_context).table_links)
+            if after_squeeze is None and t >= squeezed_at:
+                after_squeeze = _touching(bench, plant_context)
+            # Nothing that is left behind by half the rise comes up again.
+            if t >= squeezed_at + 0.6 * protocol.rise_s and center_height() - z0 < 0.1 * protocol.rise_m:
+                break
+    except RuntimeError as error:
+        _log.info("lift of %s %s: %s", grasp.hand, grasp.grasp_id, error)
+        return result("simulation_failed", float("nan"), ())
+    rise = center_height() - z0
+    if not np.isfinite(rise):
+        return result("simulation_failed", float("nan"), ())
+    end = _touching(bench, plant_context)
+    hand = bench.hand
+    tips = tuple(f.name for f in hand.fingers if hand.link_index[f.tip_link] in end.object_links)
+    if rise >= protocol.success_m and len(tips) >= protocol.fingertips:
+        return result("", rise, tips)
+    if hit_table:
+        return result("table_collision", rise, tips)
+    if after_squeeze is None or not after_squeeze.object_links:
+        return result("not_grasped", rise, tips)
+    if rise < protocol.success_m:
+        return result("slipped", rise, tips)
+    return result("too_few_fingertips", rise, tips)
+
+
+def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
+    """Contacts of the configuration as it stands, from geometry alone."""
+    query = bench.plant.get_geometry_query_input_port().Eval(context)
+    inspector = query.inspector()
+    index_of = {body.index(): k for k, body in enumerate(bench.links)}
+    on_object, on_table = set(), set()
+    for pair in query.ComputePointPairPenetration():
+        bodies = [bench.plant.GetBodyFromFrameId(inspector.GetFrameId(g)) for g in (pair.id_A, pair.id_B)]
+        for one, other in (bodies, bodies[::-1]):
+            if one is not None and other is not None and one.index() in index_of:
+                if bench.object_body is not None and other.index() == bench.object_body.index():
+                    on_object.add(index_of[one.index()])
+                elif other.index() == bench.plant.world_body().index():
+                    on_table.add(index_of[one.index()])
+    return _Touch(frozenset(on_object), frozenset(on_table))
+
+
+def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Lift:
+    """Builds a rig and lifts one grasp; see `simulate_lift`.
+
+    Args:
+        grasp: A grasp with pre-grasp and squeeze targets.
+        hand: Its hand.
+        scene: Its scene.
+        protocol: The protocol.
+
+    Returns:
+        The verdict.
+    """
+    return simulate_lift(lift_rig(hand, scene, protocol=protocol), grasp)
+
+

@@ -1,0 +1,135 @@
+"""Pre-grasp and squeeze: what a hand does before and after a grasp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from xdex_drake.contact.certificate import contact_geometry
+from xdex_drake.grasp import Certificate, Grasp
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs import constraints
+from xdex_drake.programs.force_closure import near_self_pairs
+from xdex_drake.programs.point import ContactSet, Point
+from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.programs.sequential import solve_sequential
+from xdex_drake.scene.tabletop import Scene
+
+CLEARANCE = 5e-3
+"""Gap that a pre-grasp keeps from the object, everywhere [m]."""
+
+NO_CONTACTS = ContactSet(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True)
+class Pregrasp:
+    """A configuration before the grasp.
+
+    Attributes:
+        X_WH: Wrist pose; its rotation is the grasp's.
+        q: Joint values, shape (n,).
+        clearance: Least gap between a sphere of the hand and the object [m].
+    """
+
+    X_WH: RigidTransform
+    q: Array
+    clearance: float
+
+
+def pregrasp_program(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, clearance: float) -> GraspProgram:
+    """The nearest configuration that clears the object everywhere: joints open first, the wrist moves back if it must.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        X_WH: Wrist pose of the grasp.
+        q: Joint values of the grasp, shape (n,).
+        clearance: Gap to keep from the object [m].
+
+    Returns:
+        The program.
+    """
+    n = len(q)
+    start = Point(Configuration.at(hand, X_WH, q), scene, NO_CONTACTS, np.zeros((0, 3)))
+    # The carriage of a lift does not turn, so the wrist's rotation is all but fixed.
+    scale = np.concatenate([np.full(3, 1e3), np.full(3, 1.0 / 0.005), np.full(n, 1.0 / 0.3)])
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        turn = (point.k.X_WH.rotation() @ X_WH.rotation().inverse()).matrix()
+        w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        return scale * np.concatenate([w, point.k.X_WH.translation() - X_WH.translation(), point.k.q - q]), np.diag(scale)
+
+    near, gaps, _ = start.object_distances
+    heights = start.centers_W[:, 2] - hand.spheres[:, 3]
+    blocks = (
+        constraints.object_block(near[gaps < 0.04], np.full(int((gaps < 0.04).sum()), clearance)),
+        constraints.table_block(np.flatnonzero(heights < 0.05), 2e-3),
+        constraints.self_block(near_self_pairs(hand, start.k), 1e-3),
+        constraints.limit_block(hand.limits),
+    )
+    cost = LeastSquares("opening", 1.0, evaluate, "distance from the grasp")
+    return GraspProgram("pre-grasp", start, (cost,), blocks)
+
+
+def pregrasp(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, *, clearance: float = CLEARANCE) -> Pregrasp:
+    """Opens the hand until it clears the object.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        X_WH: Wrist pose of the grasp.
+        q: Joint values of the grasp, shape (n,).
+        clearance: Gap to reach [m].
+
+    Returns:
+        The pre-grasp with the clearance that was reached, which may be less than asked for.
+    """
+    # A little more than asked for: the solver stops at its own tolerance.
+    program = pregrasp_program(hand, scene, X_WH, q, clearance + 5e-4)
+    point, _ = solve_sequential(program, iterations=12, trust=0.3)
+    q_open = np.clip(point.k.q, hand.limits[0], hand.limits[1])
+    X_open = RigidTransform(X_WH.rotation(), point.k.X_WH.translation())
+    end = Point(Configuration.at(hand, X_open, q_open), scene, NO_CONTACTS, np.zeros((0, 3)))
+    return Pregrasp(X_open, q_open, float(np.min(end.object_distances[1], initial=np.inf)))
+
+
+def contact_torques(hand: Hand, k: Configuration, scene: Scene, certificate: Certificate) -> Array:
+    """Torques of the actuated joints that apply a certificate's forces: tau = C^T J^T f.
+
+    Args:
+        hand: The hand.
+        k: The grasp's configuration.
+        scene: The scene.
+        certificate: The certificate.
+
+    Returns:
+        Torques [N m], shape (n,).
+    """
+    p_OCs = np.array([c.p_OC for c in certificate.contacts])
+    n_OCs = np.array([c.n_OC for c in certificate.contacts])
+    R_WCs, _ = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), certificate.p_OOcm)
+    f_Ws = np.einsum("kab,kb->ka", R_WCs, np.array([c.f_C for c in certificate.contacts]))
+    links = np.array([hand.link_index[c.link] for c in certificate.contacts])
+    J = k.jacobian(links, (scene.X_WO @ p_OCs.T).T)[:, :, 6:]
+    return np.einsum("ka,kab->b", f_Ws, J)
+
+
+def squeeze_targets(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
+    """Joint targets whose PD torque at the grasp applies the certificate's forces: q + tau / kp.
+
+    Args:
+        hand: The hand.
+        grasp: A grasp with a certificate.
+        scene: The scene.
+        kp: Proportional gain of the joints [N m/rad].
+
+    Returns:
+        Targets [rad or m], shape (n,); torques are within the hand's effort limits.
+    """
+    assert grasp.certificate is not None
+    k = Configuration.at(hand, grasp.X_WH, grasp.q)
+    torques = np.clip(contact_torques(hand, k, scene, grasp.certificate), -hand.effort, hand.effort)
+    return grasp.q + torques / kp
