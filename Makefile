@@ -23,12 +23,13 @@ help:
 	@echo "make format  format the code and mend what the linter can"
 	@echo "make clean   remove what was built, but not $(VENV)"
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt .ci/pydrake_stubs.py
 	@test -n "$(PYTHON)" || { echo "No Python >= 3.11 with the venv and ensurepip modules was found; install one" \
 		"(on Debian and Ubuntu: python3 and python3-venv) or run make PYTHON=/path/to/python" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade --constraint constraints.txt pip
 	$(BIN)/python -m pip install --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python .ci/pydrake_stubs.py $(VENV)/stubs
 	@touch $@
 
 demo: $(STAMP)

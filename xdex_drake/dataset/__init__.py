@@ -1,0 +1,1 @@
+"""Files of grasps and data set folders: schema, store, generation and executors."""
