@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.certificate import certify, contact_geometry
 from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.hand.description import Hand
@@ -123,8 +123,9 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, pen
     """
     scene, k, obj = point.scene, point.k, point.scene.object
     R_OW = scene.X_WO.rotation().matrix().T
-    p_OCs = (point.contacts_W - scene.X_WO.translation()) @ R_OW.T
-    n_OCs = point.normals_W @ R_OW.T
+    p_WCs, n_WCs = point.exact_contacts()
+    p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
+    n_OCs = n_WCs @ R_OW.T
     links = [hand.links[link].name for link in point.contacts.links]
     weight = obj.mass * 9.81
     result = None
@@ -138,7 +139,7 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, pen
             p_OOcm=obj.p_OOcm,
             length=obj.length,
             R_WO=scene.X_WO.rotation().matrix(),
-            A=_effort_map(k, point, p_OCs, n_OCs),
+            A=_effort_map(k, point, p_WCs, p_OCs, n_OCs),
             effort=hand.effort,
             safety=safety,
             min_normal=least * weight,
@@ -169,12 +170,10 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, pen
     return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)), "")
 
 
-def _effort_map(k: Configuration, point: Point, p_OCs: Array, n_OCs: Array) -> Array:
+def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
     """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
-    from xdex_drake.contact.certificate import contact_geometry
-
     R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
-    J = k.jacobian(point.contacts.links, point.contacts_W)[:, :, 6:]
+    J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
     return (np.swapaxes(R_WCs, 1, 2) @ J).reshape(-1, J.shape[-1]).T
 
 

@@ -11,12 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.contact.cones import contact_frames
 from xdex_drake.hand.description import Array
 from xdex_drake.hand.kinematics import skew
 from xdex_drake.programs.point import Point
 
 MM = 1e3
 """Millimetres in a metre: the unit of distance rows."""
+
+
+CONE_EDGES = 8
+"""Edges of the pyramid that stands for a friction cone in the sequential solver's subproblems."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,8 @@ class Block:
         upper: Upper bounds, shape (m,).
         unit: Unit of the rows, for tables.
         meaning: One line for tables.
+        inner: Rows g >= 0 that imply this block and that a linearisation sees better, for the sequential solver; None where
+            `evaluate` serves.
     """
 
     name: str
@@ -38,12 +45,23 @@ class Block:
     upper: Array
     unit: str
     meaning: str
+    inner: Callable[[Point], tuple[Array, Array]] | None = None
 
     def at(self, point: Point) -> tuple[Array, Array]:
         """What `evaluate` gives, computed once for a point: solvers ask for values first and for derivatives later."""
         if self.name not in point.memo:
             point.memo[self.name] = self.evaluate(point)
         return point.memo[self.name]
+
+    def rows(self, point: Point) -> tuple[Array, Array, Array, Array]:
+        """What the sequential solver linearises: g, its Jacobian, lower and upper bounds."""
+        if self.inner is None:
+            return (*self.at(point), self.lower, self.upper)
+        key = f"{self.name} inner"
+        if key not in point.memo:
+            point.memo[key] = self.inner(point)
+        g, J = point.memo[key]
+        return g, J, np.zeros(len(g)), np.full(len(g), np.inf)
 
     def violation(self, point: Point) -> float:
         """Greatest violation of a row at a point, in the block's unit."""
@@ -60,7 +78,7 @@ def contact_block(contacts: int) -> Block:
     """Contact spheres lie on the surface: SDF(c_k) - r_k = 0."""
 
     def evaluate(point: Point) -> tuple[Array, Array]:
-        J = -np.einsum("ka,kab->kb", point.normals_W, point.contact_jacobian)
+        J = np.einsum("ka,kab->kb", point.gap_gradients, point.contact_jacobian)
         return MM * point.contact_gaps, MM * _pad(point, J)
 
     zero = np.zeros(contacts)
@@ -207,7 +225,26 @@ def cone_block(contacts: int, mu: float) -> Block:
             J[row, k + 3 * row : k + 3 * row + 3] = on_force[row]
         return g, J
 
-    return Block("cone", evaluate, np.zeros(contacts), np.full(contacts, np.inf), "m g", "mu f_n - |f_t|")
+    angles = 2.0 * np.pi * np.arange(CONE_EDGES) / CONE_EDGES
+    inscribed = mu * np.cos(np.pi / CONE_EDGES)
+
+    def inner(point: Point) -> tuple[Array, Array]:
+        # A pyramid inside the cone. Its edges turn with the normal: d = -n (dn . d).
+        f, n = point.forces, point.normals_W
+        R = contact_frames(n)
+        d = np.cos(angles)[:, None] * R[:, None, :, 0] + np.sin(angles)[:, None] * R[:, None, :, 1]  # (nc, edges, 3)
+        normal = (f * n).sum(1)
+        g = inscribed * normal[:, None] - np.einsum("kea,ka->ke", d, f)
+        on_force = inscribed * n[:, None] - d
+        on_normal = inscribed * f[:, None] + normal[:, None, None] * d
+        k = 6 + len(point.k.q)
+        J = np.zeros((contacts, CONE_EDGES, point.size))
+        J[:, :, :k] = on_normal @ point.normal_jacobian
+        for row in range(contacts):
+            J[row, :, k + 3 * row : k + 3 * row + 3] = on_force[row]
+        return g.ravel(), J.reshape(-1, point.size)
+
+    return Block("cone", evaluate, np.zeros(contacts), np.full(contacts, np.inf), "m g", "mu f_n - |f_t|", inner)
 
 
 def normal_force_block(contacts: int, least: float, most: float) -> Block:

@@ -16,9 +16,6 @@ from xdex_drake.hand.description import Array
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.scene.tabletop import Scene
 
-NORMAL_STEP = 1.5e-3
-"""Step of the central differences that give the curvature of the surface at a contact [m]: about the size of a triangle."""
-
 FAR = 0.03
 """Spheres further than this from the object's bounding box are not asked for exact distances [m]."""
 
@@ -99,38 +96,49 @@ class Point:
         return self.centers_W[self.contacts.spheres]
 
     @cached_property
-    def _contact_distance(self) -> tuple[Array, Array]:
+    def _contact_query(self) -> tuple[Array, Array]:
         return self._query(self.contact_centers_W)
 
     @property
     def contact_gaps(self) -> Array:
-        """Gap of each contact sphere [m], shape (nc,)."""
-        return self._contact_distance[0] - self.k.hand.spheres[self.contacts.spheres, 3]
+        """Gap of each contact sphere [m], exact, shape (nc,)."""
+        return self._contact_query[0] - self.k.hand.spheres[self.contacts.spheres, 3]
+
+    @property
+    def gap_gradients(self) -> Array:
+        """Exact gradient of each gap with respect to its sphere's center, in W, shape (nc, 3)."""
+        return self._contact_query[1]
+
+    @cached_property
+    def _smooth_normals(self) -> tuple[Array, Array, Array]:
+        """Distance [m], unit normal into the object and its derivative [1/m], by the grid, in W.
+
+        The exact normal of a triangulated surface jumps in its derivative from facet to facet; the grid's, taken a finger's radius off the
+        surface, is nearly the same and has a derivative that a solver can use. Certificates use the exact one.
+        """
+        R_WO = self.scene.X_WO.rotation().matrix()
+        distance, gradient, slope = self.scene.object.grid.smooth(self._to_object(self.contact_centers_W))
+        return distance, -gradient @ R_WO.T, -R_WO @ slope @ R_WO.T
 
     @property
     def normals_W(self) -> Array:
         """Unit contact normals into the object, shape (nc, 3)."""
-        return -self._contact_distance[1]
+        return self._smooth_normals[1]
+
+    @property
+    def normal_slopes(self) -> Array:
+        """Derivative of each normal with respect to its sphere's center [1/m], shape (nc, 3, 3)."""
+        return self._smooth_normals[2]
 
     @cached_property
     def contacts_W(self) -> Array:
         """Contact points: the surface points nearest to the contact spheres [m], shape (nc, 3)."""
-        distance, gradient = self._contact_distance
-        return self.contact_centers_W - distance[:, None] * gradient
+        return self.contact_centers_W + self._smooth_normals[0][:, None] * self.normals_W
 
-    @cached_property
-    def normal_slopes(self) -> Array:
-        """Derivative of each normal with respect to its sphere's center [1/m], shape (nc, 3, 3).
-
-        The surface is made of triangles, so the slope is taken over a step of the size of a triangle.
-        """
-        nc = len(self.contacts.spheres)
-        steps = NORMAL_STEP * np.eye(3)
-        shifted = self.contact_centers_W[:, None, None, :] + np.stack([steps, -steps])[None]  # (nc, 2, 3, 3)
-        _, gradient = self._query(shifted.reshape(-1, 3))
-        gradient = gradient.reshape(nc, 2, 3, 3)
-        slopes = -(gradient[:, 0] - gradient[:, 1]) / (2.0 * NORMAL_STEP)  # (nc, direction, component)
-        return np.swapaxes(slopes, 1, 2)
+    def exact_contacts(self) -> tuple[Array, Array]:
+        """Contact points [m] and unit normals into the object by exact distances, in W, each of shape (nc, 3)."""
+        distance, gradient = self._contact_query
+        return self.contact_centers_W - distance[:, None] * gradient, -gradient
 
     @cached_property
     def contact_jacobian(self) -> Array:
@@ -141,7 +149,7 @@ class Point:
     def surface_jacobian(self) -> Array:
         """Jacobian of the contact points on the surface, shape (nc, 3, 6 + n)."""
         n = self.normals_W
-        distance = self._contact_distance[0]
+        distance = self._smooth_normals[0]
         along = np.eye(3) - n[:, :, None] * n[:, None, :] + distance[:, None, None] * self.normal_slopes
         return along @ self.contact_jacobian
 

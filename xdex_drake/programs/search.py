@@ -199,44 +199,36 @@ class SearchProblem:
     settings: SearchSettings
 
 
-def coarse_spheres(hand: Hand) -> NDArray[np.int64]:
-    """Spheres that suffice for self-collision: every second one or so of each link, ends kept.
+def sphere_pairs(hand: Hand, *, spacing: float = 0.8, base: bool = True) -> NDArray[np.int64]:
+    """Pairs of spheres on links that must stay apart.
+
+    Spheres overlap along a link, so not all are needed: from end to end, one is kept for each `spacing` radii.
 
     Args:
         hand: The hand.
-
-    Returns:
-        Indices into `hand.spheres`.
-    """
-    keep: list[int] = []
-    for link in range(len(hand.links)):
-        rows = np.flatnonzero(hand.sphere_links == link)
-        last: Array | None = None
-        for k, row in enumerate(rows):
-            center, radius = hand.spheres[row, :3], hand.spheres[row, 3]
-            if last is None or k == len(rows) - 1 or np.linalg.norm(center - last) > 0.8 * radius:
-                keep.append(int(row))
-                last = center
-    return np.array(keep, dtype=np.int64)
-
-
-def sphere_pairs(hand: Hand) -> NDArray[np.int64]:
-    """Pairs of coarse spheres on links that must stay apart.
-
-    Args:
-        hand: The hand.
+        spacing: Distance between neighbours that are kept, in radii.
+        base: Whether the base link takes part.
 
     Returns:
         Indices into `hand.spheres`, shape (m, 2).
     """
-    coarse = coarse_spheres(hand)
+    keep: list[int] = []
+    for link in range(0 if base else 1, len(hand.links)):
+        rows = np.flatnonzero(hand.sphere_links == link)
+        last: Array | None = None
+        for k, row in enumerate(rows):
+            center, radius = hand.spheres[row, :3], hand.spheres[row, 3]
+            if last is None or k == len(rows) - 1 or np.linalg.norm(center - last) > spacing * radius:
+                keep.append(int(row))
+                last = center
+    coarse = np.array(keep, dtype=np.int64)
     link_of = hand.sphere_links[coarse]
     apart = np.zeros((len(hand.links), len(hand.links)), dtype=bool)
     for a, b in self_collision_pairs(hand):
         apart[a, b] = apart[b, a] = True
     i, j = np.triu_indices(len(coarse), 1)
-    keep = apart[link_of[i], link_of[j]]
-    return np.stack([coarse[i[keep]], coarse[j[keep]]], axis=1)
+    kept = apart[link_of[i], link_of[j]]
+    return np.stack([coarse[i[kept]], coarse[j[kept]]], axis=1)
 
 
 def search_problem(
@@ -261,7 +253,7 @@ def search_problem(
     """
 
     def tensor(values: object) -> torch.Tensor:
-        return torch.as_tensor(np.asarray(values, dtype=float), dtype=dtype, device=device)
+        return torch.tensor(np.asarray(values, dtype=float), dtype=dtype, device=device)
 
     tips = [hand.link_index[f.tip_link] for f in hand.fingers]
     rows = [np.flatnonzero(hand.sphere_links == tip) for tip in tips]
@@ -278,7 +270,7 @@ def search_problem(
         tip_spheres=torch.as_tensor(padded, device=device),
         tip_links=torch.as_tensor(np.array(tips), device=device),
         pads=tensor([f.n_LPad for f in hand.fingers]),
-        pairs=torch.as_tensor(sphere_pairs(hand), device=device),
+        pairs=torch.as_tensor(sphere_pairs(hand, spacing=1.4, base=False), device=device),
         settings=settings or SearchSettings(),
     )
 

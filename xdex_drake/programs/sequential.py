@@ -27,9 +27,9 @@ FAR_ROWS = 15.0
 def _merit(program: GraspProgram, point: Point) -> float:
     total = sum(cost.value(point) for cost in program.costs)
     for block in program.constraints:
-        g, _ = block.at(point)
-        miss = np.maximum(block.lower - g, g - block.upper).clip(min=0.0)
-        equal = block.lower == block.upper
+        g, _, low, high = block.rows(point)
+        miss = np.maximum(low - g, g - high).clip(min=0.0)
+        equal = low == high
         total += 0.5 * EQUALITY * float((miss[equal] ** 2).sum()) + SLACK * float(miss[~equal].max(initial=0.0))
     return total
 
@@ -60,17 +60,17 @@ def step(program: GraspProgram, point: Point, trust: float) -> Array:
     rows, lows, highs, owner = [], [], [], []
     blocks = 0
     for block in program.constraints:
-        g, J = block.at(point)
-        equal = block.lower == block.upper
+        g, J, low, high = block.rows(point)
+        equal = low == high
         if equal.any():
-            r, J_e = (g - block.lower)[equal], J[equal]
+            r, J_e = (g - low)[equal], J[equal]
             P += EQUALITY * J_e.T @ J_e
             c += EQUALITY * (J_e.T @ r)
-        near = ~equal & ((g - block.lower < FAR_ROWS) | (block.upper - g < FAR_ROWS))
+        near = ~equal & ((g - low < FAR_ROWS) | (high - g < FAR_ROWS))
         if near.any():
             rows.append(J[near])
-            lows.append((block.lower - g)[near])
-            highs.append((block.upper - g)[near])
+            lows.append((low - g)[near])
+            highs.append((high - g)[near])
             owner.append(np.full(int(near.sum()), blocks))
             blocks += 1
     bound = np.concatenate([np.full(3, trust), np.full(3, 0.1 * trust), np.full(n, trust), np.full(size - 6 - n, 10.0)])

@@ -237,6 +237,34 @@ class DistanceGrid:
             gradient[beyond] = offset / distance[beyond, None]
         return distance, gradient
 
+    def smooth(self, points_O: Array) -> tuple[Array, Array, Array]:
+        """Trilinear distances and unit gradients, with the derivative of the gradients that belongs to them.
+
+        Args:
+            points_O: Points in O [m], shape (n, 3); those outside of the grid are moved onto its boundary.
+
+        Returns:
+            Distances [m], shape (n,), unit gradients, shape (n, 3), and their Jacobians [1/m], shape (n, 3, 3).
+        """
+        cell = (np.clip(points_O, self.origin, self.upper) - self.origin) / self.spacing
+        low = np.minimum(cell.astype(np.int64), np.array(self.values.shape) - 2)
+        t = (cell - low)[:, None, :]  # (n, 1, 3)
+        bits = np.array(list(np.ndindex(2, 2, 2)))  # (8, 3)
+        w = np.where(bits, t, 1.0 - t)  # (n, 8, 3)
+        i, j, k = np.moveaxis(low[:, None, :] + bits, -1, 0)
+        values, gradients = self.values[i, j, k].astype(float), self.gradients[i, j, k].astype(float)
+        weight = w.prod(-1)
+        slope = np.where(bits, 1.0, -1.0) * np.stack(
+            [w[..., 1] * w[..., 2], w[..., 0] * w[..., 2], w[..., 0] * w[..., 1]], axis=-1
+        )
+        distance = (weight * values).sum(1)
+        gradient = (weight[..., None] * gradients).sum(1)
+        jacobian = np.swapaxes(gradients, 1, 2) @ slope / self.spacing
+        size = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
+        unit = gradient / size
+        across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+        return distance, unit, across @ jacobian / size[..., None]
+
 
 def build_grid(
     exact: ExactDistance, *, margin: float = GRID_MARGIN, spacing: float = GRID_SPACING, cells: int = GRID_CELLS
