@@ -1,0 +1,325 @@
+"""Runs units of work in child processes, so that a crash costs one unit and memory stays bounded.
+
+Drake and the solvers end the process where they meet what they cannot handle. Here each worker is a fresh process that
+computes one unit at a time; one that crashes, or takes too long, is replaced, and its unit is reported as failed.
+"""
+
+import multiprocessing as mp
+import os
+import pickle
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import islice
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, TypeVar
+
+from xdex_drake.errors import ConfigError
+
+Unit = TypeVar("Unit")
+Value = TypeVar("Value")
+
+_ONE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+_FAILED_STARTS = 3
+_GRACE_S = 5.0
+
+
+@dataclass(frozen=True)
+class UnitResult(Generic[Unit, Value]):
+    """What became of a unit.
+
+    Attributes:
+        unit: The unit.
+        value: What the work returned, None where it failed.
+        failure: Empty, or why there is no value: `timeout: ...`, `crashed: ...` or the exception in one line.
+        trace: Traceback of the exception, empty where there was none.
+        seconds: Wall time of the unit.
+    """
+
+    unit: Unit
+    value: Value | None
+    failure: str
+    trace: str
+    seconds: float
+
+
+def run_units(
+    units: Iterable[Unit],
+    work: Callable[[Unit], Value],
+    *,
+    workers: int,
+    on_done: Callable[[UnitResult[Unit, Value]], None] | None = None,
+    timeout_s: float | None = None,
+    units_per_process: int = 50,
+) -> Iterator[UnitResult[Unit, Value]]:
+    """Runs work on each unit, in child processes, and yields the results in the order in which they come.
+
+    A value must depend on its unit only; then the set of results is the same whatever the number of workers. Processes
+    are spawned, not forked, each with one thread for linear algebra. A unit that raises, crashes its process or exceeds
+    the time costs only itself. Where the caller stops early, by Ctrl-C or by closing the iterator, `on_done` still gets
+    the results that were already finished; units that are under way are lost. Workers end when the caller's process
+    does.
+
+    Args:
+        units: The units; taken one by one as workers become free.
+        work: A function at the top level of a module, or a `functools.partial` of one: it is pickled, as are units and
+            values.
+        workers: Number of processes; 0 runs in the caller's process, without protection and without `timeout_s`.
+        on_done: Called in the caller's process with each result before it is yielded: the place to save it.
+        timeout_s: Longest wall time of a unit [s].
+        units_per_process: Number of units after which a process is replaced, which bounds its memory.
+
+    Yields:
+        One result a unit.
+
+    Raises:
+        ConfigError: A number is out of range.
+        RuntimeError: Workers end before they begin: `work` cannot be imported, or a script lacks its
+            `if __name__ == "__main__":` line.
+    """
+    if workers < 0 or units_per_process < 1 or (timeout_s is not None and timeout_s <= 0.0):
+        raise ConfigError(
+            f"workers={workers} must be 0 or more, units_per_process={units_per_process} 1 or more, and "
+            f"timeout_s={timeout_s} positive or None"
+        )
+    save = on_done or _ignore
+    if workers == 0:
+        return _run_here(units, work, save)
+    return _run_in_processes(units, work, workers, save, timeout_s, units_per_process)
+
+
+def _ignore(result: UnitResult[Any, Any]) -> None:
+    """Does nothing with a result."""
+
+
+def _run_here(
+    units: Iterable[Unit], work: Callable[[Unit], Value], save: Callable[[UnitResult[Unit, Value]], None]
+) -> Iterator[UnitResult[Unit, Value]]:
+    """Runs the units one after the other in this process."""
+    for unit in units:
+        begin = time.monotonic()
+        result = UnitResult(unit, *_attempt(work, unit), time.monotonic() - begin)
+        save(result)
+        yield result
+
+
+def _attempt(work: Callable[[Unit], Value], unit: Unit) -> tuple[Value | None, str, str]:
+    """Value, failure and traceback of a unit."""
+    try:
+        return work(unit), "", ""
+    except Exception as error:
+        return None, f"{type(error).__name__}: {error}", traceback.format_exc()
+
+
+# The caller's side ----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Worker(Generic[Unit]):
+    """A child process, and what it is doing."""
+
+    process: BaseProcess
+    connection: Connection
+    is_ready: bool = False
+    units: list[Unit] = field(default_factory=list)  # the one that is under way, if any
+    begin: float = 0.0
+    done: int = 0
+
+
+def _run_in_processes(
+    units: Iterable[Unit],
+    work: Callable[[Unit], Value],
+    count: int,
+    save: Callable[[UnitResult[Unit, Value]], None],
+    timeout_s: float | None,
+    units_per_process: int,
+) -> Iterator[UnitResult[Unit, Value]]:
+    """Runs the units in `count` processes."""
+    remaining = iter(units)
+    waiting: list[Unit] = []
+    workers: list[_Worker[Unit]] = []
+    results: list[UnitResult[Unit, Value]] = []
+    failed_starts = 0
+    try:
+        while True:
+            waiting.extend(islice(remaining, count - len(waiting)))
+            for worker in workers:
+                if worker.is_ready and not worker.units and waiting:
+                    _give(worker, waiting)
+            free = sum(not worker.units for worker in workers)
+            for _ in range(min(count - len(workers), len(waiting) - free)):
+                workers.append(_start(work, units_per_process))
+            yield from results  # only now, so that nobody waits for the caller
+            if not waiting and not any(worker.units for worker in workers):
+                return
+            results.clear()
+            for worker in _which_woke(workers, timeout_s):
+                result = _collect(worker, timeout_s)
+                if result is not None:
+                    save(result)
+                    results.append(result)
+                if worker.is_ready:
+                    failed_starts = 0
+                if worker.connection.closed or worker.done >= units_per_process:
+                    failed_starts += not worker.is_ready
+                    _end(worker)
+            workers = [worker for worker in workers if not worker.connection.closed]
+            if failed_starts >= _FAILED_STARTS:
+                raise RuntimeError(
+                    "worker processes end before they begin, as standard error says above: the work must be a function "
+                    'of a module that can be imported, and a script needs its `if __name__ == "__main__":` line'
+                )
+    except (KeyboardInterrupt, GeneratorExit):
+        for worker in workers:
+            if worker.units and not worker.connection.closed and worker.connection.poll():
+                result = _collect(worker, None)
+                if result is not None:
+                    save(result)
+        raise
+    finally:
+        for worker in workers:
+            _end(worker)
+
+
+def _start(work: Callable[[Any], Any], units_per_process: int) -> "_Worker[Any]":
+    """Starts a process; it says when it is ready."""
+    context = mp.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(work, theirs, units_per_process), daemon=True)
+    with _single_threaded(), _without_interrupts():
+        process.start()
+    theirs.close()  # so that our end tells when the process has gone
+    return _Worker(process, ours)
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Environment that a process inherits, so that its linear algebra uses one thread."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Mask that a process inherits: Ctrl-C reaches every process, and the caller alone decides what it means."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _give(worker: _Worker[Unit], waiting: list[Unit]) -> None:
+    """Sends the first unit that waits to a worker that is free; not where the worker turns out to have gone."""
+    with suppress(BrokenPipeError, ConnectionResetError):
+        worker.connection.send(waiting[0])
+        worker.units = [waiting.pop(0)]
+        worker.begin = time.monotonic()
+
+
+def _which_woke(workers: list[_Worker[Unit]], timeout_s: float | None) -> list[_Worker[Unit]]:
+    """Waits until some workers have something to say, have gone, or are out of time."""
+    now = time.monotonic()
+    deadlines = [worker.begin + timeout_s - now for worker in workers if worker.units and timeout_s is not None]
+    woke = wait([worker.connection for worker in workers], max(0.0, min(deadlines)) if deadlines else None)
+    return [worker for worker in workers if worker.connection in woke or _is_late(worker, timeout_s)]
+
+
+def _is_late(worker: _Worker[Any], timeout_s: float | None) -> bool:
+    return timeout_s is not None and bool(worker.units) and time.monotonic() >= worker.begin + timeout_s
+
+
+def _collect(worker: _Worker[Unit], timeout_s: float | None) -> UnitResult[Unit, Any] | None:
+    """Takes what a worker has to say; None where that is no result.
+
+    A worker that has crashed or is out of time is ended here, so that its exit status is known.
+    """
+    try:
+        if not worker.connection.poll():
+            _end(worker)
+            return _give_up(worker, f"timeout: more than {timeout_s:g} s")
+        message = worker.connection.recv_bytes()
+    except (EOFError, OSError):
+        _end(worker, grace_s=_GRACE_S)
+        return _give_up(worker, _how_it_ended(worker.process))
+    if not worker.is_ready:
+        worker.is_ready = True
+        return None
+    worker.done += 1
+    seconds = time.monotonic() - worker.begin
+    try:
+        value, failure, trace = pickle.loads(message)
+    except Exception as error:
+        value, failure, trace = None, f"{type(error).__name__}: {error}", traceback.format_exc()
+    return UnitResult(worker.units.pop(), value, failure, trace, seconds)
+
+
+def _give_up(worker: _Worker[Unit], failure: str) -> UnitResult[Unit, Any] | None:
+    """The result of a worker that has gone; None where it had no unit."""
+    if not worker.units:
+        return None
+    return UnitResult(worker.units.pop(), None, failure, "", time.monotonic() - worker.begin)
+
+
+def _end(worker: _Worker[Any], *, grace_s: float = 0.0) -> None:
+    """Ends a worker's process, whose unit, if any, is given up; one that is ending by itself has `grace_s` for it."""
+    if worker.connection.closed:
+        return
+    worker.process.join(grace_s)
+    worker.process.kill()
+    worker.process.join()
+    worker.connection.close()
+
+
+def _how_it_ended(process: BaseProcess) -> str:
+    code = process.exitcode
+    if code is None or code >= 0:
+        return f"crashed: the process ended with status {code}"
+    try:
+        return f"crashed: {signal.Signals(-code).name}"
+    except ValueError:
+        return f"crashed: signal {-code}"
+
+
+# The worker's side ----------------------------------------------------------------------------------------------------
+
+
+def _serve(work: Callable[[Any], Any], connection: Connection, units_per_process: int) -> None:
+    """Computes units until there are no more."""
+    threading.Thread(target=_end_with_caller, daemon=True).start()
+    with suppress(EOFError, OSError):
+        connection.send_bytes(b"ready")
+        for _ in range(units_per_process):
+            answer = _attempt(work, connection.recv())
+            try:
+                message = pickle.dumps(answer)
+            except Exception as error:
+                message = pickle.dumps((None, f"{type(error).__name__}: {error}", traceback.format_exc()))
+            connection.send_bytes(message)
+
+
+def _end_with_caller() -> None:
+    """Ends this process when its parent does, even in the midst of a unit."""
+    parent = mp.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
