@@ -145,11 +145,7 @@ def certify(
     F = gravity_wrench(mass, gravity)
     forces = balance(G, mus, F, A=A, effort=effort, length=length, min_normal=min_normal, safety=safety)
     if not forces.solved:
-        reason = forces.reason
-        if forces.status == "infeasible":
-            free = balance(G, mus, F, length=length, min_normal=min_normal, safety=safety)
-            reason = f"{'effort limits' if free.solved else 'friction cones'} do not allow forces that balance gravity"
-        return CertificateResult(None, reason, time.perf_counter() - start)
+        return CertificateResult(None, f"gravity is not held: {forces.reason}", time.perf_counter() - start)
     pushes = push_wrenches(mass, gravity) if disturbances is None else disturbances
     task = task_margin(G, mus, F, pushes, A, effort, length=length)
     ball = ball_margin(G, mus, length=length, tol=tol)

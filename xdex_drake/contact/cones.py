@@ -143,10 +143,10 @@ def project_onto_cone(f: ArrayLike, mu: ArrayLike) -> Array:
     f = np.asarray(f, dtype=float)
     mu = np.broadcast_to(np.asarray(mu, dtype=float), f.shape[:-1])
     tangent, normal = np.hypot(f[..., 0], f[..., 1]), f[..., 2]
-    inside = tangent <= mu * normal
+    inside = (tangent <= mu * normal) & (normal >= 0.0)
     polar = mu * tangent <= -normal
     s = np.where(polar, 0.0, (mu * tangent + normal) / (1.0 + mu * mu))
-    scale = np.where(inside, 1.0, mu * s / np.where(tangent > 0.0, tangent, 1.0))
+    scale = np.where(inside, 1.0, mu * s / np.maximum(tangent, 1e-300))
     result = np.empty_like(f)
     result[..., :2] = scale[..., None] * f[..., :2]
     result[..., 2] = np.where(inside, normal, s)

@@ -4,6 +4,8 @@ Qhull's incremental mode gives up (and can end the process) on the nearly coplan
 Here a point on the plane of a facet, to rounding, simply does not see it.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
@@ -12,6 +14,19 @@ Array = NDArray[np.float64]
 
 _EPSILON = 1e-11
 _KEY_BITS = 12  # bits of a vertex index in the key of a ridge: at most 4096 points, at most 6 dimensions
+
+
+@lru_cache(maxsize=8)
+def _digits(k: int) -> NDArray[np.int64]:
+    """Place values of k vertex indices in a key."""
+    return np.int64(1) << (_KEY_BITS * np.arange(k, dtype=np.int64))
+
+
+@lru_cache(maxsize=8)
+def _others(k: int) -> NDArray[np.int64]:
+    """Row j: 0 .. k - 1 without j, shape (k, k - 1)."""
+    columns = np.arange(k - 1)
+    return columns + (columns >= np.arange(k)[:, None])
 
 
 class GrowingHull:
@@ -49,16 +64,11 @@ class GrowingHull:
         self.offsets = np.full(capacity, np.inf)
         self.vertices = np.zeros((capacity, d), dtype=np.int64)
         self.neighbors = np.zeros((capacity, d), dtype=np.int64)  # facet beyond the ridge opposite vertex j
-        all_rows = np.arange(d + 1)
-        center = self.points[: d + 1].mean(axis=0)
-        for i in all_rows:
-            others = np.delete(all_rows, i)
-            n = np.linalg.solve(self.points[others] - center, np.ones(d))
-            n /= np.linalg.norm(n)
-            b = float((self.points[others] @ n).mean())
-            self.planes[i] = np.append(n, -b)
-            self.vertices[i] = self.neighbors[i] = others
-            self.offsets[i] = b
+        # On facet i the barycentric coordinate of point i, affine in x, is zero; beyond it is negative.
+        barycentric = np.linalg.inv(np.vstack([self.points[: d + 1].T, np.ones(d + 1)]))
+        planes = -barycentric / np.sqrt((barycentric[:, :d] ** 2).sum(axis=1))[:, None]
+        self.planes[: d + 1], self.offsets[: d + 1] = planes, -planes[:, d]
+        self.vertices[: d + 1] = self.neighbors[: d + 1] = _others(d + 1)
 
     def add(self, point: Array) -> bool:
         """Add a point.
@@ -71,7 +81,7 @@ class GrowingHull:
         """
         d, size = len(point), self.size
         height = self.planes[:size, :d] @ point + self.planes[:size, d]
-        visible = (height > _EPSILON) & np.isfinite(self.offsets[:size])
+        visible = (height > _EPSILON) & (self.offsets[:size] < np.inf)
         seen = np.flatnonzero(visible)
         if len(seen) == 0:
             return False
@@ -79,13 +89,10 @@ class GrowingHull:
         row, slot = np.nonzero(~visible[self.neighbors[seen]])
         inner, outer = seen[row], self.neighbors[seen[row], slot]
         m = len(row)
-        keep = np.arange(d - 1) + (np.arange(d - 1) >= slot[:, None])  # the ridge's columns
-        ridges = np.take_along_axis(self.vertices[inner], keep, axis=1)  # (m, d - 1)
+        ridges = self.vertices[inner[:, None], _others(d)[slot]]  # (m, d - 1)
         # Pair up the new facets over the ridges that contain the new point: d - 1 keys each, each key twice.
-        digits = np.int64(1) << (_KEY_BITS * np.arange(d - 2, dtype=np.int64))
-        keys = np.empty((m, d - 1), dtype=np.int64)
-        for j in range(d - 1):
-            keys[:, j] = np.delete(ridges, j, axis=1) @ digits
+        digits = _digits(d - 2)
+        keys = ridges[:, _others(d - 1)] @ digits  # (m, d - 1)
         order = np.argsort(keys, axis=None)
         ranked = keys.ravel()[order].reshape(-1, 2) if keys.size % 2 == 0 else None
         if ranked is None or np.any(ranked[:, 0] != ranked[:, 1]) or np.any(ranked[1:, 0] == ranked[:-1, 0]):
@@ -112,15 +119,17 @@ class GrowingHull:
         """Index of the facet whose plane has the least offset from 0."""
         return int(self.offsets[: self.size].argmin())
 
-    def facet_along(self, direction: Array) -> int:
-        """Index of the facet through which a ray from 0 leaves the hull, 0 being inside.
+    def facets_along(self, direction: Array) -> NDArray[np.int64]:
+        """Indices of the facets through whose planes a ray from 0 leaves the hull, 0 being inside.
+
+        More than one where a flat face of more than d points is split into simplices.
 
         Args:
             direction: Direction of the ray, shape (d,).
         """
         along = self.planes[: self.size, :-1] @ direction
         reach = np.where(along > 1e-12, self.offsets[: self.size] / np.maximum(along, 1e-12), np.inf)
-        return int(reach.argmin())
+        return np.flatnonzero(reach <= reach.min() * (1.0 + 1e-9))
 
     def _reserve(self, m: int) -> None:
         """Make room for m facets and one point."""

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from xdex_drake.contact.cones import cone_edges
 from xdex_drake.contact.conic import (
     CLARABEL,
-    REASONS,
+    STOPPED,
     check_effort,
     check_grasp,
     conic,
@@ -145,7 +145,7 @@ def task_margin(
             status = solver_status(solution)
             if status != "solved":
                 margins[:], forces[:] = 0.0, 0.0
-                reason = "gravity is not held" if status == "infeasible" else REASONS["failed"]
+                reason = "gravity is not held" if status == "infeasible" else STOPPED
                 break
             margins[j] = max(0.0, float(solution.x[-1]))
             forces[j] = polish(G_n, scale * np.asarray(solution.x[:-1]), F_n + margins[j] * d, mus)
@@ -169,8 +169,13 @@ def support(G: ArrayLike, mu: ArrayLike, directions: ArrayLike) -> tuple[Array, 
     Returns:
         h(u), shape (m,), and forces of contact i* with f_n = 1 (not 0 where h = 0), shape (m, 3 n).
     """
-    G, mus, n = check_grasp(G, mu, 1.0)
-    u = np.asarray(directions, dtype=float)
+    G, mus, _ = check_grasp(G, mu, 1.0)
+    return _support(G, mus, np.asarray(directions, dtype=float))
+
+
+def _support(G: Array, mus: Array, u: Array) -> tuple[Array, Array]:
+    """`support` without validation."""
+    n = len(mus)
     g = (u @ G).reshape(len(u), n, 3)
     tangent = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2)
     values = mus * tangent + g[..., 2]
@@ -215,12 +220,12 @@ def ball_margin(
     # Seeds: three edges of each cone, and support points along the principal axes of G.
     f_seed = np.zeros((3 * n, n, 3))
     f_seed[np.arange(3 * n), np.repeat(np.arange(n), 3)] = np.swapaxes(cone_edges(mus, 3), -1, -2).reshape(3 * n, 3)
-    seeds = np.vstack([f_seed.reshape(3 * n, 3 * n), support(G, mus, np.vstack([U.T, -U.T]))[1]])
+    seeds = np.vstack([f_seed.reshape(3 * n, 3 * n), _support(G, mus, np.vstack([U.T, -U.T]))[1]])
     lower, upper, direction, iterations = 0.0, math.inf, U[:, -1].copy(), 0
     try:
         hull = GrowingHull(seeds @ G.T)
     except ValueError:  # no friction and few contacts: the wrenches lie in a plane that may not hold 0
-        values, _ = support(G, mus, np.vstack([U.T, -U.T]))
+        values, _ = _support(G, mus, np.vstack([U.T, -U.T]))
         direction = np.vstack([U.T, -U.T])[int(values.argmin())]
         return BallMargin(0.0, float(values.min()), direction, np.zeros((12, 3 * n)), 0, time.perf_counter() - start)
     forces = [*seeds[hull.start]]
@@ -228,7 +233,7 @@ def ball_margin(
         nearest = hull.nearest()
         u = hull.planes[nearest, :6]
         lower = float(hull.offsets[nearest])
-        value, f = support(G, mus, u[None])
+        value, f = _support(G, mus, u[None])
         if value[0] < upper:
             upper, direction = float(value[0]), u.copy()
         if upper - max(lower, 0.0) <= tol or not hull.add(G @ f[0]):
@@ -248,13 +253,15 @@ def _witness(G: Array, forces: Array, lower: float, hull: GrowingHull) -> Array:
     for row in range(12):
         axis = np.zeros(6)
         axis[row // 2] = 1.0 if row % 2 == 0 else -1.0
-        # The facet that the ray along the axis leaves through; its vertices' weights.
-        vertices = hull.vertices[hull.facet_along(axis)]
+        # The facet that the ray along the axis leaves through: the one where its vertices' weights are nonnegative.
+        vertices = hull.vertices[hull.facets_along(axis)]
         try:
-            weights = np.linalg.solve(wrenches[vertices].T, lower * axis)
+            solutions = np.linalg.solve(np.swapaxes(wrenches[vertices], 1, 2), (lower * axis)[:, None])[..., 0]
+            best = int(solutions.min(axis=1).argmax())
+            weights, vertices = solutions[best], vertices[best]
         except np.linalg.LinAlgError:
             weights = np.full(6, -1.0)
-        if weights.min() < -1e-12:  # a facet of more than six points: any nonnegative combination does
+        if weights.min() < -1e-12:  # a sliver: any nonnegative combination does
             stacked = np.vstack([np.c_[wrenches.T, np.zeros(6)], np.ones(len(forces) + 1)])
             weights, vertices = nnls(stacked, np.append(lower * axis, 1.0))[0][:-1], np.arange(len(forces))
         result[row] = weights @ forces[vertices]

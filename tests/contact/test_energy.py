@@ -1,0 +1,58 @@
+"""The wrench energy and its envelope gradient."""
+
+import numpy as np
+import pytest
+
+from tests.contact.references import RADIUS, ball_grasp, matrix, scaled
+from xdex_drake.contact import balance, gravity_wrench, wrench_energy
+
+MU = 0.6
+F_EXT = gravity_wrench(0.1)
+
+
+@pytest.mark.parametrize("bounds", [(0.0, np.inf), (0.2, 1.0)])
+@pytest.mark.parametrize("n", [1, 3, 4])
+def test_gradient_by_central_differences(n, bounds):
+    rng = np.random.default_rng(n)
+    for _ in range(3):
+        p, normals = ball_grasp(rng, n)
+        center = 0.01 * rng.normal(size=3)
+
+        def energy(p, normals, center=center):
+            return wrench_energy(p, normals, MU, F_EXT, center, length=RADIUS, normal_bounds=bounds)
+
+        result = energy(p, normals)
+        assert result.solved and result.value > 0.0
+        dp, dn = rng.normal(size=(2, n, 3))
+        dn -= (dn * normals).sum(axis=1, keepdims=True) * normals  # normals stay unit to first order
+        h = 1e-4
+        by_p = (energy(p + h * dp, normals).value - energy(p - h * dp, normals).value) / (2 * h)
+        by_n = (energy(p, normals + h * dn).value - energy(p, normals - h * dn).value) / (2 * h)
+        assert (result.gradient_p * dp).sum() == pytest.approx(by_p, rel=5e-4, abs=2e-6)
+        assert (result.gradient_n * dn).sum() == pytest.approx(by_n, rel=5e-4, abs=2e-6)
+        assert (result.gradient_n * normals).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_energy_is_small_exactly_where_gravity_is_held():
+    rng = np.random.default_rng(5)
+    held = set()
+    for _ in range(12):
+        p, normals = ball_grasp(rng, 3)
+        energy = wrench_energy(p, normals, MU, F_EXT, np.zeros(3), length=RADIUS, regularization=1e-7).value
+        solved = balance(matrix(p, normals), MU, F_EXT, length=RADIUS).solved
+        held.add(solved)
+        assert (energy < 1e-3) == solved
+    assert held == {True, False}
+
+
+def test_against_cvxpy():
+    cvxpy = pytest.importorskip("cvxpy")
+    rng = np.random.default_rng(6)
+    p, normals = ball_grasp(rng, 4)
+    result = wrench_energy(p, normals, MU, F_EXT, np.zeros(3), length=RADIUS, normal_bounds=(0.1, 0.5))
+    G, f = scaled(matrix(p, normals), RADIUS), cvxpy.Variable(12)
+    rows = [cvxpy.norm(f[3 * i : 3 * i + 2]) <= MU * f[3 * i + 2] for i in range(4)]
+    rows += [f[2::3] >= 0.1, f[2::3] <= 0.5]
+    cost = 0.5 * cvxpy.sum_squares(G @ f + F_EXT) + 0.5e-3 * cvxpy.sum_squares(f)
+    assert result.value == pytest.approx(cvxpy.Problem(cvxpy.Minimize(cost), rows).solve("CLARABEL"), rel=1e-6)
+    assert result.f == pytest.approx(f.value, abs=1e-4)
