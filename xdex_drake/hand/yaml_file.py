@@ -254,9 +254,7 @@ class _Field:
 
 def _parse(text: str, file: str) -> Hand:
     root = _Field(_load(text, file), file, "")
-    fields = root.table(
-        ("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"), ("description",)
-    )
+    fields = root.table(("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"))
     side = fields["side"].text()
     if side not in ("right", "left"):
         raise fields["side"].fail(f"is {side!r}", "write right or left")

@@ -1,0 +1,133 @@
+"""Spheres cover their geometry and hardly bulge; mass properties agree with closed forms and with sampling."""
+
+import numpy as np
+import pytest
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
+from scipy.spatial.transform import Rotation
+
+from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
+from xdex_drake.hand.inertia import DENSITY, ROTOR_INERTIA, link_inertia
+from xdex_drake.hand.library import list_hands, load_hand
+from xdex_drake.hand.spheres import BULGE, SCALLOP, fit_spheres, half_spaces, signed_distance
+
+
+def surface(shape: Geometry, rng: np.random.Generator, n: int = 4000) -> Array:
+    """Random points on the surface, shape (n, 3)."""
+    directions = rng.normal(size=(n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    if isinstance(shape, Sphere):
+        return shape.center + shape.radius * directions
+    if isinstance(shape, Capsule):
+        d = shape.p1 - shape.p0
+        feet = shape.p0 + rng.uniform(size=(n, 1)) * d
+        # Sideways from a foot on the axis, or around an end.
+        side = directions - np.outer(directions @ d, d) / max(d @ d, 1e-18)
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        ends = np.where((directions @ d > 0.0)[:, None], shape.p1, shape.p0) + shape.radius * directions
+        return np.where((rng.uniform(size=n) < 0.7)[:, None], feet + shape.radius * side, ends)
+    normals, offsets, corners = half_spaces(shape)
+    inner = corners.mean(axis=0)
+    reach = (offsets - normals @ inner) / np.maximum(directions @ normals.T, 1e-12)
+    return inner + reach.min(axis=1)[:, None] * directions
+
+
+def gap(spheres: Array, points: Array) -> Array:
+    return (np.linalg.norm(points[:, None] - spheres[None, :, :3], axis=-1) - spheres[:, 3]).min(axis=1)
+
+
+def test_capsule_spheres_follow_the_axis() -> None:
+    capsule = Capsule(np.array([0.0, 0.0, 0.01]), np.array([0.02, 0.0, 0.03]), 0.008)
+    spheres = fit_spheres((capsule,))
+    assert spheres[0, :3] == pytest.approx(capsule.p0)
+    assert spheres[-1, :3] == pytest.approx(capsule.p1)
+    assert (spheres[:, 3] == 0.008).all()
+    assert gap(spheres, surface(capsule, np.random.default_rng(0))).max() <= SCALLOP + 1e-9
+
+
+def test_degenerate_capsule_is_one_sphere() -> None:
+    spheres = fit_spheres((Capsule(np.ones(3), np.ones(3), 0.01),))
+    assert spheres == pytest.approx(np.array([[1.0, 1.0, 1.0, 0.01]]))
+
+
+def test_no_geometry_no_spheres() -> None:
+    assert fit_spheres(()).shape == (0, 4)
+
+
+def test_spheres_are_the_same_each_time() -> None:
+    box = Box(np.array([0.03, 0.05, 0.07]), np.zeros(3))
+    assert np.array_equal(fit_spheres((box,)), fit_spheres((box,)))
+
+
+@pytest.mark.parametrize("name", list_hands())
+def test_spheres_cover_each_link_and_hardly_bulge(name) -> None:
+    rng = np.random.default_rng(0)
+    for link in load_hand(name).links:
+        for shape in link.geometry:
+            points = surface(shape, rng, 1500)
+            # Points within another shape of the link need no cover.
+            others = [other for other in link.geometry if other is not shape]
+            for other in others:
+                points = points[signed_distance(other, points) > 0.0]
+            distances = gap(link.spheres, points)
+            if isinstance(shape, Capsule | Sphere):
+                assert distances.max(initial=0.0) < 1e-3, link.name
+            else:
+                assert (distances < 3e-3).mean() >= 0.95, link.name
+        for x, y, z, r in link.spheres:
+            around = surface(Sphere(np.array([x, y, z]), r), rng, 300)
+            outside = np.min([signed_distance(shape, around) for shape in link.geometry], axis=0)
+            assert outside.max() <= BULGE + 1e-9, link.name
+
+
+def test_hull_is_covered_like_a_box() -> None:
+    box = Box(np.array([0.03, 0.05, 0.07]), np.array([0.01, 0.0, 0.0]))
+    corners = half_spaces(box)[2]
+    hull = Convex(corners)
+    distances = gap(fit_spheres((hull,)), surface(hull, np.random.default_rng(0)))
+    assert (distances < 3e-3).mean() > 0.95
+
+
+def test_signed_distance_of_a_box() -> None:
+    R = Rotation.from_rotvec([0.1, 0.5, -0.3]).as_matrix()
+    box = Box(np.array([0.2, 0.4, 0.6]), np.array([1.0, 0.0, 0.0]), R)
+    points = np.array([[0.3, 0.0, 0.0], [0.0, 0.0, 0.0], [0.2, 0.3, 0.3]]) @ R.T + box.p_LG
+    assert signed_distance(box, points) == pytest.approx([0.2, -0.1, np.hypot(0.1, 0.1)])
+
+
+def test_capsule_inertia_agrees_with_drake() -> None:
+    u = np.array([0.6, 0.0, 0.8])
+    capsule = Capsule(np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 0.3]) + 0.04 * u, 0.01)
+    mass, p_LLcm, I_LLcm = link_inertia((capsule,), 0.05)
+    expected = SpatialInertia.SolidCapsuleWithMass(0.05, 0.01, 0.04, u).CalcRotationalInertia().CopyToFullMatrix3()
+    assert mass == 0.05
+    assert p_LLcm == pytest.approx(capsule.p0 + 0.02 * u)
+    assert I_LLcm - ROTOR_INERTIA * np.eye(3) == pytest.approx(expected, rel=1e-9)
+
+
+def test_box_and_hull_inertia_agree() -> None:
+    R = Rotation.from_rotvec([0.4, -0.2, 0.9]).as_matrix()
+    box = Box(np.array([0.02, 0.03, 0.05]), np.array([0.1, 0.0, -0.1]), R)
+    hull = Convex(half_spaces(box)[2])
+    a, b = link_inertia((box,)), link_inertia((hull,))
+    assert a[0] == pytest.approx(DENSITY * 0.02 * 0.03 * 0.05)
+    assert b[0] == pytest.approx(a[0])
+    assert b[1] == pytest.approx(a[1])
+    assert b[2] == pytest.approx(a[2], rel=1e-9)
+    unit = UnitInertia.SolidBox(0.02, 0.03, 0.05).CopyToFullMatrix3()
+    assert a[2] - ROTOR_INERTIA * np.eye(3) == pytest.approx(a[0] * R @ unit @ R.T, rel=1e-9)
+
+
+def test_two_balls_are_a_dumbbell() -> None:
+    balls = tuple(Sphere(np.array([x, 0.0, 0.0]), 0.01) for x in (-0.1, 0.1))
+    mass, p_LLcm, I_LLcm = link_inertia(balls, 1.0)
+    own = 0.4 * 0.01**2
+    assert p_LLcm == pytest.approx(np.zeros(3), abs=1e-15)
+    assert np.diag(I_LLcm) - ROTOR_INERTIA == pytest.approx([own, own + 0.01, own + 0.01])
+    assert mass == 1.0
+
+
+def test_a_hub_has_mass_and_inertia() -> None:
+    mass, p_LLcm, I_LLcm = link_inertia(())
+    assert mass > 0.0
+    assert (p_LLcm == 0.0).all()
+    assert np.linalg.eigvalsh(I_LLcm).min() > ROTOR_INERTIA
