@@ -185,11 +185,16 @@ def test_options_add_terms_and_reach_every_parameter(model, data, batch):
     assert missing == []
 
 
-def test_one_batch_is_overfitted(data, batch):
+def test_one_batch_is_overfitted(data):
     torch.manual_seed(0)
-    model = CVAE(CVAEConfig(width=64, heads=4, latent=16, object_channels=(8, 8)))
-    batch = batch._replace(noise=torch.zeros(16, 16))
-    optimizer = torch.optim.Adam(model.parameters(), lr=2e-3)
+    config = CVAEConfig(
+        width=64, latent=16, embodiment_layers=1, encoder_layers=1, decoder_layers=2, object_channels=(8, 8)
+    )
+    model = CVAE(config)
+    sizes = BatchSizes(8, 1, 64, 0.0, 16)
+    batch = make_batch(data, np.array([0]), np.arange(8), np.zeros(1), sizes, np.random.default_rng(0))
+    batch = batch._replace(noise=torch.zeros(8, 16))
+    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
     losses = []
     for _ in range(300):
         loss = loss_terms(model, batch, data, LossWeights())["reconstruction"]
@@ -197,6 +202,6 @@ def test_one_batch_is_overfitted(data, batch):
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
-        if losses[-1] < losses[0] / 50.0:
+        if losses[-1] < losses[0] / 60.0:
             break
     assert losses[-1] < losses[0] / 50.0

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 CENTER = 13
-"""Index of the center among the 27 cells of a 3 x 3 x 3 kernel, z fastest; cell k mirrors cell 26 - k."""
+"""Index of the center among the 27 cells of a 3 x 3 x 3 kernel, z fastest."""
 
 
 @dataclass(frozen=True)
@@ -98,33 +98,33 @@ def make_grid(cells: Tensor) -> tuple[VoxelGrid, Tensor]:
 class _Convolution(torch.autograd.Function):
     """Sum over kernel cells k of x[inputs_k] W_k, scattered to outputs_k.
 
-    Within one kernel cell each voxel occurs once, so sums have one order on any device and results repeat exactly. Cell
-    k leads from voxel i to j where cell 26 - k leads from j to i: the gradient is the convolution with the mirrored
-    kernel.
+    Within one kernel cell each voxel occurs once among the inputs and once among the outputs, so sums have one order on
+    any device and results repeat exactly.
     """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, grid: VoxelGrid) -> Tensor:
         ctx.save_for_backward(x, weight)
         ctx.grid = grid
-        return _convolve(x, weight, grid)
+        out = x @ weight[CENTER]
+        for k, (inputs, outputs) in enumerate(zip(grid.inputs, grid.outputs, strict=True)):
+            if k != CENTER:
+                out.index_add_(0, outputs, x.index_select(0, inputs) @ weight[k])
+        return out
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, Tensor, None]:
         x, weight = ctx.saved_tensors
         grad = grad_outputs[0].contiguous()
-        grad_weight = torch.stack(
-            [x[i].T @ grad[o] for i, o in zip(ctx.grid.inputs, ctx.grid.outputs, strict=True)],
-        )
-        return _convolve(grad, weight.flip(0).transpose(1, 2), ctx.grid), grad_weight, None
-
-
-def _convolve(x: Tensor, weight: Tensor, grid: VoxelGrid) -> Tensor:
-    out = x @ weight[CENTER]
-    for k, (inputs, outputs) in enumerate(zip(grid.inputs, grid.outputs, strict=True)):
-        if k != CENTER and len(inputs):
-            out.index_add_(0, outputs, x.index_select(0, inputs) @ weight[k])
-    return out
+        grad_x, grad_weight = grad @ weight[CENTER].T, torch.empty_like(weight)
+        for k, (inputs, outputs) in enumerate(zip(ctx.grid.inputs, ctx.grid.outputs, strict=True)):
+            if k == CENTER:
+                grad_weight[k] = x.T @ grad
+                continue
+            grad_k = grad.index_select(0, outputs)
+            grad_weight[k] = x.index_select(0, inputs).T @ grad_k
+            grad_x.index_add_(0, inputs, grad_k @ weight[k].T)
+        return grad_x, grad_weight, None
 
 
 class SubmanifoldConv(nn.Module):
