@@ -1,0 +1,109 @@
+"""A small hand and rows of its grasps."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
+from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+from xdex_drake.hand.description import Coupling, Finger, Hand, Joint, Link
+
+IDENTITY = np.eye(3)
+
+
+def make_hand():
+    """Three joints in a row, the last of which follows the second."""
+    links = tuple(Link(f"link{k}", (), 0.1, np.zeros(3), IDENTITY * 1e-4, np.zeros((0, 4))) for k in range(4))
+    joints = tuple(
+        Joint(
+            name=f"joint{k}",
+            kind="revolute",
+            parent=f"link{k}",
+            child=f"link{k + 1}",
+            p_PJ=np.array([0.0, 0.0, 0.04]),
+            R_PJ=IDENTITY,
+            axis=np.array([0.0, 1.0, 0.0]),
+            lower=-1.0,
+            upper=1.0,
+            effort=1.0,
+            coupling=Coupling("joint1", 0.5, 0.1) if k == 2 else None,
+        )
+        for k in range(3)
+    )
+    finger = Finger("index", tuple(link.name for link in links[1:]), "link3", np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    return Hand("tiny", "Tiny", "right", links, joints, (finger,), np.zeros(3), IDENTITY, np.zeros(2), {})
+
+
+def make_facts(name="mug"):
+    return ObjectFacts(name, f"meshes/{name}.obj", "d" * 64, 0.001, 0.1, 0.6, np.array([0.01, 0.0, 0.02]), 0.05)
+
+
+def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
+    facts = make_facts(object)
+    X_WO = RigidTransform(RollPitchYaw(rng.uniform(-1.5, 1.5, 3)), rng.normal(size=3))
+    contacts = tuple(
+        Contact(f"link{k}", rng.normal(size=3), np.array([0.0, 0.0, 1.0]), 0.6, rng.normal(size=3)) for k in range(3)
+    )
+    certificate = Certificate(
+        contacts=contacts,
+        R_WO=X_WO.rotation().matrix(),
+        p_OOcm=facts.p_OOcm,
+        mass=facts.mass,
+        length=facts.length,
+        wrench_residual=1e-9,
+        task_margin=1.5,
+        margin_lower=0.11,
+        margin_upper=0.12,
+        witness_forces=rng.normal(size=(12, 9)),
+        witness_direction=rng.normal(size=6),
+    )
+    return Grasp(
+        hand="tiny",
+        object=object,
+        X_WO=X_WO,
+        X_WH=RigidTransform(RollPitchYaw(rng.uniform(-1.5, 1.5, 3)), rng.normal(size=3)),
+        q=rng.uniform(-1.0, 1.0, 2),
+        certificate=certificate,
+        X_WH_pregrasp=RigidTransform(rng.normal(size=3)),
+        q_pregrasp=rng.uniform(-1.0, 1.0, 2),
+        q_squeeze=rng.uniform(-1.0, 1.0, 2),
+        lift=Lift("lift-0.2/2tips", success, "" if success else "slipped", 0.25, ("index", "thumb"), 1.5),
+        grasp_id=grasp_id,
+        source_grasp_id=source,
+        penetration_parts_m=0.0003,
+        penetration_mesh_m=float("nan"),
+        seconds=2.0,
+    )
+
+
+def make_row(seed, **options):
+    grasp = make_grasp(np.random.default_rng(seed), **{"grasp_id": f"g{seed}", **options})
+    return row_from_grasp(
+        grasp,
+        scene_id="mug/0",
+        hand=make_hand(),
+        hand_digest="h" * 64,
+        object=make_facts(grasp.object),
+        gains=(1.0, 0.1),
+        object_point_O=np.array([0.0, 0.01, 0.02]),
+    )
+
+
+@pytest.fixture
+def tiny_hand():
+    return make_hand()
+
+
+@pytest.fixture
+def facts():
+    return make_facts()
+
+
+@pytest.fixture(name="make_grasp")
+def make_grasp_fixture():
+    return make_grasp
+
+
+@pytest.fixture(name="make_row")
+def make_row_fixture():
+    return make_row
