@@ -198,9 +198,9 @@ def test_a_certificate_of_another_mass_is_refused(make_grasp, tiny_hand, facts):
 
 def test_a_row_that_lacks_a_column_or_a_value_is_refused(make_row):
     row = make_row(0)
-    with pytest.raises(GraspFileError, match="'g0'.*no column 'q_squeeze'"):
+    with pytest.raises(GraspFileError, match=r"'g0'.*no column 'q_squeeze'"):
         grasp_from_row({name: value for name, value in row.items() if name != "q_squeeze"})
-    with pytest.raises(GraspFileError, match="'g0'.*contacts"):
+    with pytest.raises(GraspFileError, match=r"'g0'.*contacts"):
         grasp_from_row({**row, "witness_forces": [1.0]})
-    with pytest.raises(GraspFileError, match="'g0'.*X_WH"):
+    with pytest.raises(GraspFileError, match=r"'g0'.*X_WH"):
         grasp_from_row({**row, "X_WH": [0.0] * 7})
