@@ -25,11 +25,18 @@ def test_gradient_by_central_differences(n, bounds):
         assert result.solved and result.value > 0.0
         dp, dn = rng.normal(size=(2, n, 3))
         dn -= (dn * normals).sum(axis=1, keepdims=True) * normals  # normals stay unit to first order
-        h = 1e-4
-        by_p = (energy(p + h * dp, normals).value - energy(p - h * dp, normals).value) / (2 * h)
-        by_n = (energy(p, normals + h * dn).value - energy(p, normals - h * dn).value) / (2 * h)
-        assert (result.gradient_p * dp).sum() == pytest.approx(by_p, rel=5e-4, abs=2e-6)
-        assert (result.gradient_n * dn).sum() == pytest.approx(by_n, rel=5e-4, abs=2e-6)
+        for moved_p, moved_n, gradient in ((dp, 0 * dn, result.gradient_p), (0 * dp, dn, result.gradient_n)):
+            slope = (gradient * (moved_p + moved_n)).sum()
+            # Several steps: contacts start to slip within a large one, and the solver's rounding spoils a small one.
+            differences = [
+                (
+                    energy(p + h * moved_p, normals + h * moved_n).value
+                    - energy(p - h * moved_p, normals - h * moved_n).value
+                )
+                / (2 * h)
+                for h in (1e-4, 1e-5, 1e-6)
+            ]
+            assert min(abs(slope - d) for d in differences) <= 1e-4 * abs(slope) + 1e-6
         assert (result.gradient_n * normals).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
 
 
