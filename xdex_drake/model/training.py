@@ -49,7 +49,7 @@ class LossWeights:
     """
 
     reconstruction: float = 1.0
-    kl: float = 1e-3
+    kl: float = 2e-3
     point: float = 0.05
     retargeting: float = 0.0
     embedding: float = 0.0
