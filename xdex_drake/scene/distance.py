@@ -77,9 +77,19 @@ class HalfSpaces:
         chunk = max(1, 4_000_000 // len(self.offsets))
         for k in range(0, len(rows), chunk):
             some = rows[k : k + chunk]
-            excess = points[some] @ self.normals.T - self.offsets
-            inside[some] = np.maximum.reduceat(excess, self.starts, axis=1).min(axis=1) <= tolerance
+            inside[some] = self.excess(points[some]) <= tolerance
         return inside
+
+    def excess(self, points: Array) -> Array:
+        """Greatest height of each point above the face planes of a part, least over the parts; not above its distance.
+
+        Args:
+            points: Points in O [m], shape (n, 3).
+
+        Returns:
+            Heights [m], zero or less inside, shape (n,).
+        """
+        return np.maximum.reduceat(points @ self.normals.T - self.offsets, self.starts, axis=1).min(axis=1)
 
 
 class ExactDistance:

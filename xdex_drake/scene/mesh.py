@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import igl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -173,18 +174,13 @@ def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
     if extent[2] < 1e-5:
         raise ObjectFileError("is flat; give the object a thickness")
     if not mesh.is_watertight:
-        trimesh.repair.fill_holes(mesh)
-        if mesh.is_watertight:
-            repairs.append("filled small holes")
-    before = mesh.faces.copy()
+        mesh = _without_fragments(mesh, repairs)
     if not mesh.is_winding_consistent:
         trimesh.repair.fix_winding(mesh)
-    if mesh.is_watertight:
-        trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
-    elif mesh.volume < 0.0:
-        mesh.invert()
-    if len(before) == len(mesh.faces) and not np.array_equal(before, mesh.faces):
-        repairs.append("turned triangles outwards")
+        repairs.append("made the winding consistent")
+    if not mesh.is_watertight:
+        mesh = _without_small_holes(mesh, repairs)
+    mesh = _outward(mesh, repairs)
     if not mesh.is_watertight:
         repairs.append("left open: the surface is not watertight")
     if len(mesh.faces) > MANY_TRIANGLES:
@@ -194,4 +190,86 @@ def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
         np.ascontiguousarray(mesh.faces, dtype=np.int64),
         bool(mesh.is_watertight and mesh.is_winding_consistent),
         tuple(repairs),
+    )
+
+
+def _bodies(mesh: trimesh.Trimesh) -> list[Faces]:
+    """Faces of each connected body; they are connected across edges of exactly two triangles."""
+    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    return [np.flatnonzero(labels == k) for k in range(labels.max() + 1)]
+
+
+def _without_fragments(mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
+    """Drops scraps, as scanners leave them: open pieces with less than a thousandth of the area."""
+    keep, scraps = np.ones(len(mesh.faces), dtype=bool), 0
+    for body in _bodies(mesh):
+        if mesh.area_faces[body].sum() < 1e-3 * mesh.area and not mesh.submesh([body], append=True).is_watertight:
+            keep[body] = False
+            scraps += 1
+    if scraps == 0:
+        return mesh
+    repairs.append(f"removed {scraps} loose scraps of {int((~keep).sum())} triangles")
+    return trimesh.Trimesh(*_used(mesh.vertices, mesh.faces[keep]), process=False)
+
+
+def _used(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    used, index = np.unique(faces, return_inverse=True)
+    return np.asarray(vertices)[used], index.reshape(-1, 3)
+
+
+def _without_small_holes(mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
+    """Closes each hole that a fan of at most 2 % of the surface's area covers; the mouth of an open bowl stays open."""
+    half_edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    present = {(int(u), int(v)) for u, v in half_edges}
+    follows: dict[int, int] = {}
+    for u, v in present:
+        if (v, u) not in present:
+            if v in follows:
+                return mesh  # Holes that touch: leave them to the decomposition's own repair.
+            follows[v] = u
+    vertices, faces, filled = [mesh.vertices], [mesh.faces], 0
+    count = len(mesh.vertices)
+    while follows:
+        first = min(follows)
+        loop = [first]
+        while (step := follows.pop(loop[-1], first)) != first:
+            loop.append(step)
+        corners = mesh.vertices[loop]
+        center = corners.mean(axis=0)
+        fan = np.cross(corners - center, np.roll(corners, -1, axis=0) - center)
+        if len(loop) < 3 or 0.5 * np.linalg.norm(fan, axis=1).sum() > 0.02 * mesh.area:
+            continue
+        vertices.append(center[None])
+        faces.append(np.column_stack((loop, np.roll(loop, -1), np.full(len(loop), count))))
+        count, filled = count + 1, filled + 1
+    if filled == 0:
+        return mesh
+    repairs.append(f"filled {filled} small holes")
+    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+
+
+def _outward(mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
+    """Turns each body outwards; a body inside of another one is a void and is turned inwards."""
+    bodies = _bodies(mesh) if mesh.is_watertight else [np.arange(len(mesh.faces))]
+    faces, turned = mesh.faces.copy(), 0
+    volume = np.einsum("ij,ij->i", mesh.triangles[:, 0], np.cross(mesh.triangles[:, 1], mesh.triangles[:, 2]))
+    for body in bodies:
+        if volume[body].sum() < 0.0 and not _is_void(mesh, bodies, body):
+            faces[body] = faces[body][:, ::-1]
+            turned += len(body)
+    if turned == 0:
+        return mesh
+    repairs.append(f"turned {turned} triangles outwards")
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def _is_void(mesh: trimesh.Trimesh, bodies: list[Faces], body: Faces) -> bool:
+    """Whether an inward body lies within one of the others."""
+    point = np.ascontiguousarray(mesh.vertices[mesh.faces[body[0], :1]])
+    vertices = np.ascontiguousarray(mesh.vertices)
+    return any(
+        abs(float(np.asarray(igl.fast_winding_number(vertices, np.ascontiguousarray(mesh.faces[other]), point))[0]))
+        > 0.5
+        for other in bodies
+        if other is not body
     )

@@ -1,6 +1,7 @@
 """Objects that rest on the table."""
 
 import hashlib
+import logging
 import math
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.object import ObjectModel
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +56,9 @@ def make_scene(object: ObjectModel, *, seed: int = 0, pose: RigidTransform | Non
 def stable_pose(object: ObjectModel, *, seed: int = 0) -> RigidTransform:
     """A pose at which an object rests on the table, its center of mass above the origin.
 
-    The poses that are stable on a facet of the convex hull come with their probabilities (trimesh, after Goldberg et al.
-    1999). A short simulation then lets the object settle until it moves slower than 2 mm/s and 0.05 rad/s for 0.1 s,
-    or for at most 2 s; it is turned to a random yaw and laid down so that its lowest point is at z = 0.
+    The poses that are stable on a facet of the convex hull come with their probabilities (trimesh, after Goldberg et
+    al. 1999). A short simulation then lets the object settle until it moves slower than 2 mm/s and 0.05 rad/s for
+    0.1 s, or for at most 2 s; it is turned to a random yaw and laid down so that its lowest point is at z = 0.
 
     Args:
         object: The object.
@@ -98,7 +100,11 @@ def _settle(object: ObjectModel, X_WO: RigidTransform) -> RigidTransform:
     plant.SetFreeBodyPose(context, body, X_WO)
     still = 0
     for k in range(80):
-        simulator.AdvanceTo(0.025 * (k + 1))
+        try:
+            simulator.AdvanceTo(0.025 * (k + 1))
+        except RuntimeError as error:  # The contact solver gave up: the pose on the facet is still one of rest.
+            _log.warning("%s does not settle: %s", object.name, error)
+            return X_WO
         V_WO = plant.EvalBodySpatialVelocityInWorld(context, body)
         slow = np.linalg.norm(V_WO.translational()) < 2e-3 and np.linalg.norm(V_WO.rotational()) < 0.05
         still = still + 1 if slow else 0
