@@ -96,7 +96,7 @@ class TrainConfig:
     validation_fraction: float = 0.1
     log_every: int = 50
     validate_every: int = 500
-    save_every: int = 500
+    save_every: int = 200
     seed: int = 0
     device: str = "auto"
     model: CVAEConfig = field(default_factory=CVAEConfig)
