@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import islice
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
@@ -197,6 +198,7 @@ def _start(work: Callable[[Any], Any], units_per_process: int) -> "_Worker[Any]"
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(work, theirs, units_per_process), daemon=True)
+    resource_tracker.ensure_running()  # or else the first start does this, and lets interrupts through again
     with _single_threaded(), _without_interrupts():
         process.start()
     theirs.close()  # so that our end tells when the process has gone
@@ -305,6 +307,7 @@ def _how_it_ended(process: BaseProcess) -> str:
 
 def _serve(work: Callable[[Any], Any], connection: Connection, units_per_process: int) -> None:
     """Computes units until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # also for whatever resets the mask
     threading.Thread(target=_end_with_caller, daemon=True).start()
     with suppress(EOFError, OSError):
         connection.send_bytes(b"ready")
