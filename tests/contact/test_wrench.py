@@ -168,3 +168,10 @@ def test_bad_input_names_the_field(bad):
     }
     with pytest.raises(ConfigError, match={"alone": "both or neither", "nan": "finite"}.get(bad, bad)):
         calls[bad]()
+
+
+def test_two_contacts_off_the_center_of_mass_are_refused_not_undecided():
+    rng = np.random.default_rng(13)
+    for _ in range(40):
+        p, normals = ball_grasp(rng, 2)
+        assert balance(matrix(p, normals, 0.002 * rng.normal(size=3)), MU, F_EXT, length=RADIUS).status == "infeasible"

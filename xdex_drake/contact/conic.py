@@ -76,12 +76,12 @@ def pattern(n: int, effort_rows: int, extra: bool) -> tuple[NDArray[np.bool_], N
 
 
 @lru_cache(maxsize=8)
-def solver_settings(tolerance: float = 1e-9) -> Any:
+def solver_settings(tolerance: float = 1e-9, equilibrate: bool = False) -> Any:
     """Settings of Clarabel: quiet, one thread, tight, no presolve (the programs are small and scaled already)."""
     settings = conic.DefaultSettings()
     settings.verbose = False
     settings.presolve_enable = False
-    settings.equilibrate_enable = False  # the rows are scaled by meaning; this halves the time
+    settings.equilibrate_enable = equilibrate
     settings.max_threads = 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     settings.max_iter = 100
@@ -139,6 +139,40 @@ def polish(G: Array, f: Array, F: Array, mus: Array) -> Array:
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 STOPPED = "the solver stopped before it could decide"
+
+
+def solve_conic(
+    P: csc_matrix, q: Array, rows: csc_matrix, right: Array, cones: list[Any], tolerance: float = 1e-9
+) -> tuple[str, Array, int]:
+    """Minimise 1/2 x P x + q x subject to right - rows x in the cones, by Clarabel.
+
+    The rows are scaled by meaning already, and without equilibration the solver takes half the time; where it gives up,
+    it tries again with equilibration and its own tolerances.
+
+    Args:
+        P: Upper triangle of the cost, shape (k, k).
+        q: Linear cost, shape (k,).
+        rows: Constraint matrix, shape (m, k).
+        right: Right-hand side, shape (m,).
+        cones: Clarabel's cones of the rows, in order.
+        tolerance: Tolerance on gap and feasibility.
+
+    Returns:
+        Status ("solved", "infeasible" or "failed"), x, iterations.
+    """
+    solution = conic.DefaultSolver(P, q, rows, right, cones, solver_settings(tolerance)).solve()
+    if solver_status(solution) == "failed":
+        solution = conic.DefaultSolver(P, q, rows, right, cones, solver_settings(1e-8, True)).solve()
+    return solver_status(solution), np.asarray(solution.x), solution.iterations
+
+
+def in_span(G: Array, F: Array) -> bool:
+    """Whether any forces at all, within cones or not, balance a wrench, to 1e-6 of it.
+
+    Two contacts span five dimensions only, and nearly infeasible equalities can leave the solver undecided.
+    """
+    f = np.linalg.lstsq(G, -F, rcond=1e-9)[0]
+    return bool(np.linalg.norm(G @ f + F) <= TOLERANCE * np.linalg.norm(F))
 
 
 def solver_status(solution: Any) -> str:

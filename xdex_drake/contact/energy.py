@@ -13,8 +13,7 @@ from xdex_drake.contact.conic import (
     check_grasp,
     conic,
     constraint_rows,
-    solver_settings,
-    solver_status,
+    solve_conic,
     torque_scaling,
 )
 
@@ -90,13 +89,10 @@ def wrench_energy(
         rows, right = np.vstack([-rows[:n], rows]), np.concatenate([np.full(n, hi), right])
         cones[0] = conic.NonnegativeConeT(2 * n)
     # The regularization is weak: forces, hence gradients, are only as good as the root of the gap over it.
-    solution = conic.DefaultSolver(
-        csc_matrix(P), G.T @ F, csc_matrix(rows), right, cones, solver_settings(1e-13)
-    ).solve()
-    if solver_status(solution) != "solved":
+    status, f, _ = solve_conic(csc_matrix(P), G.T @ F, csc_matrix(rows), right, cones, 1e-13)
+    if status != "solved":
         nan = np.full((n, 3), np.nan)
         return WrenchEnergy(math.nan, nan.ravel(), nan, nan, False)
-    f = np.asarray(solution.x)
     residual = G @ f + F
     value = 0.5 * float(residual @ residual) + 0.5 * regularization * float(f @ f)
     F_Cs = (R @ f.reshape(n, 3, 1))[..., 0]  # forces in W

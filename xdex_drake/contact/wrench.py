@@ -24,14 +24,13 @@ from xdex_drake.contact.conic import (
     TOLERANCE,
     check_effort,
     check_grasp,
-    conic,
     constraint_rows,
     diagonal,
+    in_span,
     pattern,
     polish,
     program_cones,
-    solver_settings,
-    solver_status,
+    solve_conic,
     torque_scaling,
 )
 from xdex_drake.errors import ConfigError
@@ -145,6 +144,8 @@ def balance(
     if status == "solved" and np.any(np.abs(A @ f) > e):
         status, f, more = _least_forces(G_n, mus, F_n, A, e, min_normal, weights)
         limit, iterations = "effort limits", iterations + more
+    if status == "failed" and not in_span(G_n, F_n):
+        status = "infeasible"
     if status != "solved":
         reason = STOPPED if status == "failed" else f"the {limit} allow no forces that balance the wrench"
         return _no_forces(status, reason, iterations, safety, min_normal, start, n)
@@ -169,8 +170,8 @@ def _least_forces(
     mask, indices, indptr = pattern(n, k, False)
     rows = csc_matrix((M[mask], indices, indptr), shape=(M.shape[1], 3 * n))
     cones = list(program_cones(n, k, False))
-    solution = conic.DefaultSolver(diagonal(weights), np.zeros(3 * n), rows, b, cones, solver_settings()).solve()
-    return solver_status(solution), scale * np.asarray(solution.x), solution.iterations
+    status, x, iterations = solve_conic(diagonal(weights), np.zeros(3 * n), rows, b, cones)
+    return status, scale * x, iterations
 
 
 def _no_forces(
