@@ -1,0 +1,122 @@
+"""The retargeting program of Eq. (2): another hand's keypoints, with contact, clearance and, by default, force closure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+
+from xdex_drake.grasp import Grasp
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.programs.force_closure import PolishSettings, polish_program
+from xdex_drake.programs.inverse_kinematics import PointTargets, keypoint_targets, solve_points
+from xdex_drake.programs.point import Point
+from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.scene.tabletop import Scene
+
+KEYPOINT_SCALE = 0.01
+"""Distance at which a keypoint's cost is one half of its weight [m]."""
+
+
+def keypoint_cost(targets: PointTargets, weight: float = 0.3) -> LeastSquares:
+    """Squared distances of keypoints from their targets, in units of `KEYPOINT_SCALE`.
+
+    Args:
+        targets: Points and targets, a batch of one.
+        weight: Weight.
+
+    Returns:
+        The cost.
+    """
+    scale = np.sqrt(targets.weights) / KEYPOINT_SCALE
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        p_WPs = point.k.points(targets.links, targets.p_LPs)
+        J = point.k.jacobian(targets.links, p_WPs) * scale[:, None, None]
+        padded = np.zeros((J.shape[0] * 3, point.size))
+        padded[:, : J.shape[2]] = J.reshape(-1, J.shape[2])
+        return ((p_WPs - targets.p_WPs[0]) * scale[:, None]).ravel(), padded
+
+    return LeastSquares("keypoints", weight, evaluate, "distance of fingertips and wrist from the source's, in cm")
+
+
+def corresponding_fingers(fingers: set[str], target: Hand) -> NDArray[np.bool_]:
+    """Which fingers of a target hand shall touch: those of the same names, and at least one beside the thumb.
+
+    Args:
+        fingers: Names of the source hand's fingers that touch.
+        target: The target hand.
+
+    Returns:
+        In the order of `target.fingers`.
+    """
+    names = [f.name for f in target.fingers]
+    chosen = np.array([name in fingers for name in names])
+    if "thumb" in names:
+        chosen[names.index("thumb")] = True
+    others = [k for k, name in enumerate(names) if name != "thumb" and not chosen[k]]
+    while chosen.sum() < min(3, len(names)) and others:
+        chosen[others.pop(0)] = True
+    return chosen
+
+
+def warm_start(source: Grasp, source_hand: Hand, target: Hand, *, wrist: float = 0.1) -> tuple[RigidTransform, Array]:
+    """Kinematic retargeting: keypoints alone, from the target's rest posture at the source's wrist.
+
+    Args:
+        source: The source grasp.
+        source_hand: Its hand.
+        target: The target hand.
+        wrist: Weight of the wrist's keypoint.
+
+    Returns:
+        Wrist pose and joint values of the target hand.
+    """
+    targets = keypoint_targets(source_hand, source.X_WH, source.q, target, wrist=wrist)
+    found = solve_points(
+        target,
+        targets,
+        source.X_WH.rotation().matrix()[None],
+        source.X_WH.translation()[None],
+        target.q_rest[None],
+    )
+    R_WH = RotationMatrix.ProjectToRotationMatrix(found.R_WHs[0])
+    return RigidTransform(R_WH, found.p_WHs[0]), found.qs[0]
+
+
+def retargeting_program(
+    source: Grasp, source_hand: Hand, target: Hand, scene: Scene, *, settings: PolishSettings | None = None
+) -> GraspProgram:
+    """The retargeting program from its warm start.
+
+    Args:
+        source: A grasp of the source hand.
+        source_hand: The source hand.
+        target: The target hand.
+        scene: The scene.
+        settings: Numbers of the hard constraints; the defaults where None.
+
+    Returns:
+        The program: posture and effort, keypoints, and the constraints of the force-closure program.
+    """
+    X_WH, q = warm_start(source, source_hand, target)
+    touching = _touching_fingers(source, source_hand)
+    fingers = corresponding_fingers(touching, target)
+    targets = keypoint_targets(source_hand, source.X_WH, source.q, target)
+    return polish_program(
+        target,
+        scene,
+        X_WH,
+        q,
+        fingers,
+        settings=settings,
+        extra_costs=(keypoint_cost(targets),),
+        name="retargeting",
+    )
+
+
+def _touching_fingers(source: Grasp, hand: Hand) -> set[str]:
+    if source.certificate is None:
+        return {f.name for f in hand.fingers}
+    links = {contact.link for contact in source.certificate.contacts}
+    return {f.name for f in hand.fingers if links & set(f.links)}
