@@ -1,0 +1,276 @@
+"""`xdex grasp`, `retarget` and `lift`: grasps are made, carried over and validated."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from xdex_drake.cli.output import (
+    check_output_file,
+    counts,
+    facts,
+    keeping_finished_work,
+    one_thread,
+    progress,
+    table,
+)
+
+if TYPE_CHECKING:
+    from xdex_drake.grasp import Grasp
+
+
+@dataclass(frozen=True)
+class GraspCommand:
+    """Grasps of one object by one hand: searched for, optimised, certified and lifted.
+
+    Every candidate is polished by a mathematical program, proved by a convex program, and lifted in simulation; the
+    file holds those that passed. The same seed gives the same grasps whatever the number of workers.
+    Try `xdex grasp --hand allegro --object mug --count 10 --html mug.html`.
+
+    Attributes:
+        hand: Name of a hand of the library, or the path of a .yaml file.
+        object: Name of a shape of the library, or the path of a mesh.
+        count: How many grasps that lift are wanted.
+        seed: Seed of the search; another seed gives other grasps.
+        out: The file of grasps.
+        scale: Factor from the mesh file's unit to metres.
+        mass: Mass of the object [kg].
+        friction: Coefficient of friction.
+        scene_seed: Choice of the pose at which the object rests on the table; 0 is the most probable one.
+        time_limit: Seconds after which what was found is all there is.
+        keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
+        html: Also write a page that replays the first grasps.
+        workers: Number of processes; 1 works without starting any.
+    """
+
+    hand: str
+    object: str
+    count: int = 10
+    seed: int = 0
+    out: Path = Path("grasps.parquet")
+    scale: float = 1.0
+    mass: float = 0.1
+    friction: float = 0.6
+    scene_seed: int = 0
+    time_limit: float = 120.0
+    keep_failed: tyro.conf.FlagCreatePairsOff[bool] = False
+    html: Path | None = None
+    workers: int = 2
+
+    def run(self) -> int:
+        """Makes the grasps, writes them, prints the closing table."""
+        one_thread()
+        from xdex_drake.dataset.parallel import GraspRequest, RequestTally, synthesize_batches
+        from xdex_drake.errors import ConfigError
+
+        for name in ("count", "workers"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"--{name} is {getattr(self, name)}; give 1 or more")
+        if self.seed < 0 or self.scene_seed < 0:
+            raise ConfigError("--seed and --scene-seed must be 0 or more")
+        if not self.time_limit > 0.0:
+            raise ConfigError(f"--time-limit is {self.time_limit:g}; give a number of seconds greater than zero")
+        check_output_file(self.out, ".parquet")
+        if self.html is not None:
+            check_output_file(self.html, ".html")
+        begin = time.perf_counter()
+        from xdex_drake.dataset.files import save_grasps
+        from xdex_drake.hand.library import load_hand
+        from xdex_drake.scene.object import load_object
+        from xdex_drake.scene.tabletop import make_scene
+
+        hand = load_hand(self.hand)
+        model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
+        model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
+        scene = make_scene(model, seed=self.scene_seed)
+        preparation = time.perf_counter() - begin
+        request = GraspRequest(self.hand, self.object, self.scale, self.mass, self.friction, self.scene_seed, self.seed)
+        tally = RequestTally()
+        kept: list[Grasp] = []
+        lifted = 0
+        workers = 0 if self.workers == 1 else self.workers
+        with keeping_finished_work() as interruption, progress(self.count, f"{hand.name} {model.name}") as bar:
+            batches = synthesize_batches(
+                request, count=self.count, workers=workers, time_limit_s=self.time_limit, tally=tally
+            )
+            for batch in batches:
+                for grasp in batch.grasps:
+                    success = grasp.lift is not None and grasp.lift.success
+                    if lifted < self.count and (success or self.keep_failed):
+                        kept.append(grasp)
+                    if success and lifted < self.count:
+                        lifted += 1
+                        bar.update()
+                bar.set_postfix(tried=tally.tried, certified=tally.certified)
+        if kept:
+            save_grasps(self.out, kept, hand, scene, hand_path=self.hand if Path(self.hand).suffix else None)
+        rate = f"{100.0 * tally.lifted / tally.certified:.0f} %" if tally.certified else "-"
+        print(
+            facts(
+                [
+                    ("hand", hand.name),
+                    ("object", model.name),
+                    ("tried", tally.tried),
+                    ("certified", tally.certified),
+                    ("lifted", tally.lifted),
+                    ("lifted of certified", rate),
+                    ("seconds", f"{tally.seconds:.1f}"),
+                    ("preparation seconds", f"{preparation:.1f}"),
+                    ("rejected by", counts(tally.rejected)),
+                    ("failed by", counts(tally.failed)),
+                    *([("lost batches", len(tally.crashed))] if tally.crashed else []),
+                    ("written", f"{len(kept)} to {self.out}" if kept else "nothing"),
+                ]
+            )
+        )
+        if kept and self.html is not None:
+            from xdex_drake.cli.show import write_replays
+
+            write_replays(self.html, kept[:3], hand, scene)
+            print(f"replays: {self.html}")
+        return interruption.status(0 if lifted else 1)
+
+
+@dataclass(frozen=True)
+class Retarget:
+    """The same grasps by other hands: fingertips and wrist are matched by the names of the fingers.
+
+    Every result is optimised, certified and lifted like any grasp; it names its source in `source_grasp_id`.
+    Try `xdex retarget grasps.parquet --to shadow ability --out pairs.parquet`.
+
+    Attributes:
+        file: A file of grasps.
+        to: The hands to carry them to.
+        out: The file of retargeted grasps.
+        keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
+        workers: Number of processes; 1 works without starting any.
+    """
+
+    file: tyro.conf.Positional[Path]
+    to: tuple[str, ...]
+    out: Path = Path("grasps_retargeted.parquet")
+    keep_failed: tyro.conf.FlagCreatePairsOff[bool] = False
+    workers: int = 2
+
+    def run(self) -> int:
+        """Retargets, writes, prints a line a hand."""
+        one_thread()
+        check_output_file(self.out, ".parquet")
+        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps, rows_of
+        from xdex_drake.dataset.parallel import RetargetUnit, in_order, run_retarget
+        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.hand.library import load_hand
+
+        if not self.to:
+            raise ConfigError("--to names no hand; give at least one")
+        targets = {target: load_hand(target) for target in self.to}
+        stored = load_grasps(self.file)
+        if not stored:
+            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
+        paths = hand_paths(self.file)
+        units = [
+            RetargetUnit(k, item.grasp, item.facts, paths.get(item.hand.name, item.hand.name), target)
+            for target in self.to
+            for k, item in enumerate(stored)
+        ]
+        rows = []
+        tallies = {target: [0, 0, 0, {}, {}, 0.0] for target in self.to}
+        begin = time.perf_counter()
+        with keeping_finished_work() as interruption, progress(len(units), "retarget") as bar:
+            for unit, outcome in in_order(units, run_retarget, workers=0 if self.workers <= 1 else self.workers):
+                tally = tallies[unit.target]
+                tally[0] += 1
+                bar.update()
+                grasp = outcome.grasp
+                if grasp is None:
+                    tally[3][outcome.reason] = tally[3].get(outcome.reason, 0) + 1
+                    continue
+                tally[1] += 1
+                tally[5] += grasp.seconds
+                assert grasp.lift is not None
+                if grasp.lift.success:
+                    tally[2] += 1
+                else:
+                    tally[4][grasp.lift.failure_reason] = tally[4].get(grasp.lift.failure_reason, 0) + 1
+                if grasp.lift.success or self.keep_failed:
+                    rows += rows_of([grasp], targets[unit.target], stored[unit.index].scene)
+        if rows:
+            files = {hand.name: target for target, hand in targets.items() if Path(target).suffix}
+            write_grasps(self.out, rows, metadata=hand_paths_entry(files))
+        lines = [
+            (target, tried, certified, lifted, seconds / max(1, certified), counts(rejected), counts(failed))
+            for target, (tried, certified, lifted, rejected, failed, seconds) in tallies.items()
+        ]
+        header = ("hand", "tried", "certified", "lifted", "s a grasp", "rejected by", "failed by")
+        print(table(lines, header))
+        print(f"{len(rows)} of {len(units)} written to {self.out}" if rows else "nothing written")
+        print(f"{time.perf_counter() - begin:.1f} s")
+        return interruption.status(0 if any(line[3] for line in lines) else 1)
+
+
+@dataclass(frozen=True)
+class LiftCommand:
+    """Lifts stored grasps again, each from its pre-grasp, and stores the new verdicts.
+
+    Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats.
+
+    Attributes:
+        file: A file of grasps with pre-grasp and squeeze targets.
+        protocol: Name of the protocol.
+        out: The file with the new verdicts.
+        workers: Number of processes; 1 works without starting any.
+    """
+
+    file: tyro.conf.Positional[Path]
+    protocol: str = "lift-0.2/2tips"
+    out: Path = Path("grasps_lifted.parquet")
+    workers: int = 2
+
+    def run(self) -> int:
+        """Lifts, writes, prints a line a hand and object."""
+        one_thread()
+        check_output_file(self.out, ".parquet")
+        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps
+        from xdex_drake.dataset.parallel import LiftUnit, in_order, run_lift
+        from xdex_drake.dataset.schema import lift_columns
+        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.simulation.protocol import LIFT
+
+        if self.protocol != LIFT.name:
+            raise ConfigError(f"--protocol {self.protocol!r} is not known; use {LIFT.name}")
+        stored = load_grasps(self.file)
+        if not stored:
+            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
+        unready = [item.grasp.grasp_id for item in stored if item.grasp.q_squeeze is None]
+        if unready:
+            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
+        paths = hand_paths(self.file)
+        units = [
+            LiftUnit(k, item.grasp, item.facts, paths.get(item.hand.name, item.hand.name))
+            for k, item in enumerate(stored)
+        ]
+        rows = []
+        tallies: dict[tuple[str, str], list] = {}
+        with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
+            for unit, verdict in in_order(units, run_lift, workers=0 if self.workers <= 1 else self.workers):
+                row = stored[unit.index].row
+                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
+                tally[0] += 1
+                tally[1] += verdict.success
+                tally[2] += verdict.success == row["success"]
+                if not verdict.success:
+                    tally[3][verdict.failure_reason] = tally[3].get(verdict.failure_reason, 0) + 1
+                rows.append({**row, **lift_columns(verdict)})
+                bar.update()
+        if rows:
+            write_grasps(self.out, rows, metadata=hand_paths_entry(paths))
+        lines = [(*key, n, good, same, counts(failed)) for key, (n, good, same, failed) in tallies.items()]
+        print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
+        print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
+        return interruption.status(0 if any(line[3] for line in lines) else 1)

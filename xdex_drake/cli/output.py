@@ -1,0 +1,114 @@
+"""What commands share: tables, progress bars, interruption, checks of where results shall go."""
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from xdex_drake.errors import ConfigError
+
+
+def table(rows: Sequence[Sequence[object]], header: Sequence[str] = ()) -> str:
+    """Rows as aligned columns; numbers to the right, texts to the left."""
+    texts = [[_text(cell) for cell in row] for row in ([header] if header else []) + list(rows)]
+    if not texts:
+        return ""
+    widths = [max(len(row[k]) for row in texts) for k in range(len(texts[0]))]
+    right = [bool(rows) and all(isinstance(row[k], int | float) for row in rows) for k in range(len(widths))]
+    lines = []
+    for row in texts:
+        cells = [cell.rjust(w) if r else cell.ljust(w) for cell, w, r in zip(row, widths, right, strict=True)]
+        lines.append("  ".join(cells).rstrip())
+    if header:
+        lines.insert(1, "  ".join("-" * width for width in widths))
+    return "\n".join(lines)
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def facts(pairs: Sequence[tuple[str, object]]) -> str:
+    """Names and values, one pair a line."""
+    width = max(len(name) for name, _ in pairs) + 2
+    return "\n".join(f"{name:<{width}}{_text(value)}" for name, value in pairs)
+
+
+def counts(reasons: dict[str, int]) -> str:
+    """How often each reason came up, the most frequent first."""
+    ordered = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{name} {count}" for name, count in ordered) or "-"
+
+
+def progress(total: int | None, what: str) -> tqdm:
+    """A progress bar on standard error; silent where that is no terminal and the work is short."""
+    return tqdm(total=total, desc=what, dynamic_ncols=True, smoothing=0.1, mininterval=0.2)
+
+
+@dataclass
+class Interruption:
+    """Whether Ctrl-C came while work was done."""
+
+    happened: bool = False
+
+    def status(self, status: int) -> int:
+        """The exit status: 130 where the work was interrupted."""
+        return 130 if self.happened else status
+
+
+@contextmanager
+def keeping_finished_work() -> Iterator[Interruption]:
+    """Ends a block at Ctrl-C and goes on after it, so that what was finished is written and told."""
+    interruption = Interruption()
+    try:
+        yield interruption
+    except KeyboardInterrupt:
+        interruption.happened = True
+
+
+def check_writable(path: Path) -> None:
+    """Refuses an output path before hours of work end in an error.
+
+    Args:
+        path: File or folder that shall be written; its folder need not exist yet.
+
+    Raises:
+        ConfigError: The path is a folder where a file is meant, or its folder cannot be written.
+    """
+    folder = path if path.is_dir() else path.parent
+    while not folder.exists():
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+
+
+def check_output_file(path: Path, suffix: str) -> None:
+    """Refuses an output file of another type, a folder in its place, or a folder that cannot be written.
+
+    Raises:
+        ConfigError: One of these; the message names the path.
+    """
+    if path.suffix.lower() != suffix:
+        raise ConfigError(f"{path}: results are written as {suffix}; choose a path that ends in {suffix}")
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; choose the path of a file")
+    check_writable(path)
+
+
+def one_thread() -> None:
+    """Lets linear algebra use one thread, before it is imported.
+
+    Small matrices gain nothing from more, workers are processes, and sums then have one order: the same seed gives the
+    same grasps whatever the number of workers.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"

@@ -1,0 +1,197 @@
+"""Files of grasps together with the hands and scenes that their rows name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from xdex_drake.dataset.schema import ObjectFacts, Row, grasp_from_row, pose_from_list, row_from_grasp
+from xdex_drake.dataset.store import read_grasps, read_metadata, write_grasps
+from xdex_drake.errors import GraspFileError, XdexError
+from xdex_drake.grasp import Grasp
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.library import list_hands, load_hand
+from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.scene.object import ObjectModel, load_object
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+
+HAND_PATHS = "xdex_hand_paths"
+"""Entry of a file's metadata: where the description of each hand lies that the library does not have."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredGrasp:
+    """A grasp of a file with the hand and the scene that its row names.
+
+    Attributes:
+        grasp: The grasp.
+        hand: Its hand.
+        scene: Its scene.
+        facts: The scene by what another process needs to build it.
+        row: The row as it was read.
+    """
+
+    grasp: Grasp
+    hand: Hand
+    scene: Scene
+    facts: SceneFacts
+    row: Row
+
+
+def object_facts(model: ObjectModel) -> ObjectFacts:
+    """What rows say about an object."""
+    path = model.name if model.path is None else str(model.path)
+    return ObjectFacts(
+        model.name, path, model.digest, model.scale, model.mass, model.friction, model.p_OOcm, model.length
+    )
+
+
+def rows_of(grasps: Iterable[Grasp], hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> list[Row]:
+    """Rows of grasps by one hand in one scene.
+
+    Args:
+        grasps: The grasps.
+        hand: Their hand.
+        scene: Their scene.
+        protocol: The protocol whose gains the squeeze targets are for.
+
+    Returns:
+        The rows, ready for `store.write_grasps`.
+    """
+    digest, facts = hand_digest(hand), object_facts(scene.object)
+    gains = (protocol.plant.kp, protocol.plant.kd)
+    return [
+        row_from_grasp(grasp, scene_id=scene.scene_id, hand=hand, hand_digest=digest, object=facts, gains=gains)
+        for grasp in grasps
+    ]
+
+
+def save_grasps(
+    path: str | Path, grasps: Iterable[Grasp], hand: Hand, scene: Scene, *, hand_path: str | Path | None = None
+) -> None:
+    """Writes grasps by one hand in one scene to a file, which appears whole or not at all.
+
+    Args:
+        path: The `.parquet` file; an older one is replaced.
+        grasps: The grasps.
+        hand: Their hand.
+        scene: Their scene.
+        hand_path: File of the hand, where the library does not have it.
+
+    Raises:
+        GraspFileError: The file cannot be written.
+    """
+    paths = {} if hand_path is None else {hand.name: str(hand_path)}
+    write_grasps(path, rows_of(grasps, hand, scene), metadata=hand_paths_entry(paths))
+
+
+def hand_paths_entry(paths: Mapping[str, str]) -> dict[str, str]:
+    """The metadata entry that lets `load_grasps` find hands that the library does not have.
+
+    Args:
+        paths: Path of each hand's file by the hand's name.
+
+    Returns:
+        The entry, empty where there are none.
+    """
+    resolved = {name: str(Path(path).resolve()) for name, path in paths.items() if name not in list_hands()}
+    return {HAND_PATHS: json.dumps(resolved, sort_keys=True)} if resolved else {}
+
+
+def hand_paths(path: str | Path) -> dict[str, str]:
+    """Paths of the hands of a file of grasps that the library does not have, by name."""
+    return dict(json.loads(read_metadata(path).get(HAND_PATHS, "{}")))
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """What a row says about its scene; hashable, and enough for another process to build it.
+
+    Attributes:
+        object_path: Library name, or path of the mesh.
+        digest: Digest of the mesh.
+        scale: Factor from the mesh file's unit to metres.
+        mass: Mass of the object [kg].
+        friction: Coefficient of friction.
+        X_WO: Pose of the object: x, y, z, qw, qx, qy, qz.
+        scene_id: Identifier of the scene.
+    """
+
+    object_path: str
+    digest: str
+    scale: float
+    mass: float
+    friction: float
+    X_WO: tuple[float, ...]
+    scene_id: str
+
+    @staticmethod
+    def of_row(row: Row, folder: Path | None = None) -> SceneFacts:
+        """Reads a row.
+
+        Args:
+            row: The row.
+            folder: Folder of the row's file, where a mesh is looked for that is not found by its path as it stands.
+
+        Returns:
+            The facts.
+        """
+        path = row["object_path"]
+        if folder is not None and Path(path).suffix and not Path(path).exists() and (folder / path).exists():
+            path = str(folder / path)
+        numbers = (row["object_scale"], row["mass_kg"], row["friction"])
+        return SceneFacts(path, row["object_digest"], *numbers, tuple(row["X_WO"]), row["scene_id"])
+
+    def build(self) -> Scene:
+        """Prepares the object and lays it as it lay.
+
+        Returns:
+            The scene.
+
+        Raises:
+            GraspFileError: The mesh has changed since, or cannot be found.
+        """
+        try:
+            model = load_object(self.object_path, scale=self.scale, mass=self.mass, friction=self.friction)
+        except XdexError as error:
+            raise GraspFileError(f"scene {self.scene_id}: its object cannot be found: {error}") from None
+        if model.digest != self.digest:
+            raise GraspFileError(
+                f"scene {self.scene_id}: {self.object_path} is not the mesh of its grasps; restore that mesh"
+            )
+        return Scene(model, pose_from_list(self.X_WO), self.scene_id)
+
+
+def load_grasps(path: str | Path) -> list[StoredGrasp]:
+    """Grasps of a file, each with its hand and scene; equal hands and scenes are shared.
+
+    Args:
+        path: A file that the library wrote.
+
+    Returns:
+        The grasps in the order of the file.
+
+    Raises:
+        GraspFileError: The file is missing or damaged, or names a hand or a mesh that has changed or cannot be found.
+    """
+    paths = hand_paths(path)
+    hands: dict[str, Hand] = {}
+    scenes: dict[SceneFacts, Scene] = {}
+    stored = []
+    for row in read_grasps(path):
+        name = str(row["hand"])
+        if name not in hands:
+            try:
+                hands[name] = load_hand(paths.get(name) or name)
+            except XdexError as error:
+                raise GraspFileError(f"{path}: hand {name} cannot be found: {error}") from None
+            if hand_digest(hands[name]) != row["hand_digest"]:
+                raise GraspFileError(f"{path}: hand {name} is not the one it was made with; restore its description")
+        key = SceneFacts.of_row(row, Path(path).parent)
+        if key not in scenes:
+            scenes[key] = key.build()
+        stored.append(StoredGrasp(grasp_from_row(row), hands[name], scenes[key], key, row))
+    return stored

@@ -1,0 +1,99 @@
+"""Runs problem instances: solve, certify, lift, and judge by what a good solution reaches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from xdex_drake.dataset.synthesis import finish_grasp
+from xdex_drake.errors import ProblemFileError
+from xdex_drake.grasp import Grasp
+from xdex_drake.hand.description import Hand
+from xdex_drake.programs.problems import Problem, force_closure_programs, load_problem, problem_scene
+from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.retargeting import retargeting_program
+from xdex_drake.programs.solve import ProgramResult, most_violated, solve
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.lift import lift
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What became of a problem.
+
+    Attributes:
+        problem: The problem.
+        hand: Its hand.
+        scene: Its scene.
+        program: The program that was solved, or the one that came nearest.
+        result: Its result.
+        grasp: The grasp, certified and lifted; None where the program was not solved or its solution not certified.
+        reason: Why there is no grasp; empty where there is one.
+        tried: Number of starts that were tried.
+        violated: How often each constraint was the worst one, over the starts that failed.
+        missed: What the problem says a good solution reaches and this one does not.
+    """
+
+    problem: Problem
+    hand: Hand
+    scene: Scene
+    program: GraspProgram
+    result: ProgramResult
+    grasp: Grasp | None
+    reason: str
+    tried: int
+    violated: dict[str, int]
+    missed: tuple[str, ...]
+
+
+def solve_problem(problem: Problem | str | Path) -> Solution:
+    """Solves a problem: its starts in turn, best first, until one is solved and certified.
+
+    Args:
+        problem: The problem, its name, or the path of its file.
+
+    Returns:
+        The solution; where no start was solved, that of the start whose worst violation was least.
+
+    Raises:
+        XdexError: The problem, its hand or its object cannot be used, or its source problem has no solution.
+    """
+    problem = problem if isinstance(problem, Problem) else load_problem(problem)
+    hand, scene = problem_scene(problem)
+    if problem.program == "retargeting":
+        programs = iter([_retargeting(problem, hand, scene)])
+    else:
+        programs = force_closure_programs(problem, hand, scene)
+    attempts: list[tuple[GraspProgram, ProgramResult]] = []
+    grasp, reason = None, ""
+    for program in programs:
+        result = solve(program, solver=problem.solver)
+        attempts.append((program, result))
+        if not result.success:
+            continue
+        outcome = finish_grasp(hand, result.point)
+        grasp, reason = outcome.grasp, outcome.reason
+        if grasp is not None:
+            grasp = replace(grasp, grasp_id=problem.name, lift=lift(grasp, hand, scene))
+            break
+    program, result = attempts[-1] if grasp is not None else min(attempts, key=lambda attempt: _badness(attempt[1]))
+    violated = most_violated([result for _, result in attempts])
+    missed = problem.reaches.missed(result, grasp)
+    why = "" if grasp is not None else reason or f"constraint {result.worst}"
+    return Solution(problem, hand, scene, program, result, grasp, why, len(attempts), violated, missed)
+
+
+def _badness(result: ProgramResult) -> float:
+    return max(result.violations.values(), default=0.0) if result.worst else 0.0
+
+
+def _retargeting(problem: Problem, hand: Hand, scene: Scene) -> GraspProgram:
+    """The program of a retargeting problem, from the solution of its source."""
+    assert problem.source is not None
+    beside = problem.path.parent / problem.source
+    source = solve_problem(load_problem(beside if beside.suffix else problem.source))
+    if source.grasp is None:
+        raise ProblemFileError(
+            f"{problem.path}: source {problem.source} has no solution ({source.reason}); mend it first"
+        )
+    return retargeting_program(source.grasp, source.hand, hand, scene, settings=problem.polish)
