@@ -36,7 +36,7 @@ class PolishSettings:
     clearance: float = 5e-4
     table_clearance: float = 2e-3
     self_clearance: float = 1e-3
-    friction_fraction: float = 0.6
+    friction_fraction: float = 0.75
     least_force: float = 0.4
     most_force: float = 6.0
     pad_cosine: float = 0.1

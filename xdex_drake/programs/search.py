@@ -34,7 +34,7 @@ class EnergyWeights:
         pad: Alignment of contact normals with the pads of the fingers.
     """
 
-    fc: float = 3.0
+    fc: float = 10.0
     dis: float = 100.0
     sdf: float = 100.0
     j: float = 1.0

@@ -11,11 +11,18 @@ import daqp
 import numpy as np
 
 from xdex_drake.hand.description import Array
+from xdex_drake.programs.constraints import Block
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram, LeastSquares
 
 EQUALITY = 1e3
 """Penalty on squared violation of equalities."""
+
+LOOSE = 20.0
+"""The same for equalities in millimetres during the first half of the iterations.
+
+A finger that slides along a curved surface leaves it by the square of its step. A stiff penalty from the start would allow tiny steps only.
+"""
 
 SLACK = 30.0
 """Linear penalty on the slack of each inequality block."""
@@ -24,23 +31,28 @@ FAR_ROWS = 15.0
 """Inequality rows slacker than this are left out of a subproblem [mm]."""
 
 
-def _merit(program: GraspProgram, point: Point) -> float:
+def _stiffness(block: Block, loose: bool) -> float:
+    return LOOSE if loose and block.unit == "mm" else EQUALITY
+
+
+def _merit(program: GraspProgram, point: Point, loose: bool) -> float:
     total = sum(cost.value(point) for cost in program.costs)
     for block in program.constraints:
         g, _, low, high = block.rows(point)
         miss = np.maximum(low - g, g - high).clip(min=0.0)
         equal = low == high
-        total += 0.5 * EQUALITY * float((miss[equal] ** 2).sum()) + SLACK * float(miss[~equal].max(initial=0.0))
+        total += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum()) + SLACK * float(miss[~equal].max(initial=0.0))
     return total
 
 
-def step(program: GraspProgram, point: Point, trust: float) -> Array:
+def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = False) -> Array:
     """Solves one convex subproblem.
 
     Args:
         program: The program.
         point: The point to linearise about.
         trust: Trust region: radians for wrist and joints; a tenth of it in metres for translation.
+        loose: Whether equalities in millimetres are penalised by `LOOSE` only.
 
     Returns:
         Step along the tangent, shape (point.size,); zero where the subproblem could not be solved.
@@ -64,8 +76,9 @@ def step(program: GraspProgram, point: Point, trust: float) -> Array:
         equal = low == high
         if equal.any():
             r, J_e = (g - low)[equal], J[equal]
-            P += EQUALITY * J_e.T @ J_e
-            c += EQUALITY * (J_e.T @ r)
+            stiff = _stiffness(block, loose)
+            P += stiff * J_e.T @ J_e
+            c += stiff * (J_e.T @ r)
         near = ~equal & ((g - low < FAR_ROWS) | (high - g < FAR_ROWS))
         if near.any():
             rows.append(J[near])
@@ -114,22 +127,23 @@ def solve_sequential(program: GraspProgram, *, iterations: int = 20, trust: floa
     Returns:
         The last point that lowered the merit, and the number of subproblems solved.
     """
-    point = program.start
-    merit = _merit(program, point)
-    for k in range(iterations):
-        move = step(program, point, trust)
-        if not move.any():
-            return point, k + 1
-        trial = point.moved(move)
-        trial_merit = _merit(program, trial)
-        if trial_merit < merit:
-            gain = merit - trial_merit
-            point, merit = trial, trial_merit
-            trust = min(1.5 * trust, 0.4)
-            if gain < 1e-3 * max(1.0, abs(merit)) or np.abs(move[: 6 + len(point.k.q)]).max() < 1e-5:
-                return point, k + 1
-        else:
-            trust *= 0.3
-            if trust < 1e-4:
-                return point, k + 1
-    return point, iterations
+    point, count = program.start, 0
+    for loose in (True, False):
+        merit, reach = _merit(program, point, loose), trust if loose else 0.5 * trust
+        for _ in range(iterations // 2):
+            move = step(program, point, reach, loose=loose)
+            count += 1
+            if not move.any():
+                break
+            trial = point.moved(move)
+            trial_merit = _merit(program, trial, loose)
+            if trial_merit >= merit:
+                reach *= 0.3
+                if reach < 1e-3:
+                    break
+                continue
+            gain, point, merit = merit - trial_merit, trial, trial_merit
+            reach = min(1.5 * reach, 0.4)
+            if gain < 1e-3 * max(1.0, merit):
+                break
+    return point, count
