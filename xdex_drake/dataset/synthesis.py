@@ -189,10 +189,38 @@ def polish(program: GraspProgram, settings: SynthesisSettings, *, protocol: Lift
     return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
 
 
+def candidates_of_batch(
+    hand: Hand, scene: Scene, *, seed: int, settings: SynthesisSettings, tally: Tally
+) -> Iterator[Grasp]:
+    """Certified grasps of one batch: a search whose best candidates are polished and certified.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        seed: Seed of the search.
+        settings: Settings.
+        tally: Counts to add to.
+
+    Yields:
+        Certified grasps, not yet lifted; their time includes their share of the search.
+    """
+    start = time.perf_counter()
+    found = search(hand, scene, count=settings.batch, seed=seed, settings=settings.search)
+    share = (time.perf_counter() - start) / settings.batch
+    for row in range(max(1, round(settings.keep * len(found.energy)))):
+        tally.tried += 1
+        outcome = polish(program_of_candidate(hand, scene, found, row, settings=settings.polish), settings)
+        if outcome.grasp is None:
+            tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
+            continue
+        tally.certified += 1
+        yield replace(outcome.grasp, grasp_id=str(row), seconds=outcome.grasp.seconds + share)
+
+
 def certified_grasps(
     hand: Hand, scene: Scene, *, seed: int = 0, settings: SynthesisSettings | None = None, tally: Tally | None = None
 ) -> Iterator[Grasp]:
-    """Certified grasps, without end: batch after batch of searches, each candidate polished and certified.
+    """Certified grasps, without end: batch after batch.
 
     Args:
         hand: The hand.
@@ -202,28 +230,19 @@ def certified_grasps(
         tally: Counts to add to.
 
     Yields:
-        Certified grasps, not yet lifted; their time includes their share of the search.
+        Certified grasps, not yet lifted; see `candidates_of_batch`.
     """
     settings = settings or SynthesisSettings()
     tally = tally if tally is not None else Tally()
     batch = 0
     while True:
-        start = time.perf_counter()
-        found = search(hand, scene, count=settings.batch, seed=_mix(seed, batch), settings=settings.search)
-        share = (time.perf_counter() - start) / settings.batch
-        for row in range(max(1, round(settings.keep * len(found.energy)))):
-            tally.tried += 1
-            outcome = polish(program_of_candidate(hand, scene, found, row, settings=settings.polish), settings)
-            if outcome.grasp is None:
-                tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
-                continue
-            tally.certified += 1
-            name = f"{hand.name}-{scene.object.name}-{seed}-{batch}-{row}"
-            yield replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share)
+        grasps = candidates_of_batch(hand, scene, seed=batch_seed(seed, batch), settings=settings, tally=tally)
+        for grasp in grasps:
+            yield replace(grasp, grasp_id=f"{hand.name}-{scene.object.name}-{seed}-{batch}-{grasp.grasp_id}")
         batch += 1
 
 
-def _mix(seed: int, batch: int) -> int:
+def batch_seed(seed: int, batch: int) -> int:
     """A seed for each batch, the same in every process."""
     return int(np.random.SeedSequence([seed, batch]).generate_state(1)[0])
 

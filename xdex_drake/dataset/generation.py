@@ -1,0 +1,262 @@
+"""Generates a paired data set: source grasps of each hand on each scene, carried to the other hands, all lifted.
+
+The unit of work is one source hand on one scene. A unit depends on the configuration and its own name only, so the rows are the same for any
+number of workers, and a run that was killed goes on with the units that are missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xdex_drake.dataset.executors import UnitResult, run_units
+from xdex_drake.dataset.retarget import retarget
+from xdex_drake.dataset.schema import ObjectFacts, Row, row_from_grasp
+from xdex_drake.dataset.store import Manifest, completed_units, open_dataset, write_failure, write_shard
+from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch, lift_all
+from xdex_drake.errors import ConfigError
+from xdex_drake.grasp import Grasp
+from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.heading import object_point
+from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.library import load_hand
+from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.scene.object import ObjectModel, load_object
+from xdex_drake.scene.tabletop import Scene, make_scene
+from xdex_drake.simulation.lift import lift_rig
+from xdex_drake.simulation.protocol import LIFT
+
+OBJECT_POINTS = 2048
+"""Surface points among which a grasp's object point is chosen."""
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """What a data set is to hold.
+
+    Attributes:
+        hands: Library names or files of the hands that receive grasps.
+        source_hands: Those of them that grasps are synthesised for; all where empty.
+        objects: Library names or mesh files.
+        scenes_per_object: Stable poses of each object.
+        candidates: Candidates of the search of one unit (a source hand on a scene).
+        sources_per_unit: Greatest number of lifted source grasps of a unit that are carried to the other hands.
+        keep_failed: Whether certified grasps whose lift failed are stored too, flagged as such.
+        mass: Mass of every object [kg].
+        seed: Seed.
+    """
+
+    hands: tuple[str, ...] = ("allegro", "shadow", "ability")
+    source_hands: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ("box", "can", "ball")
+    scenes_per_object: int = 1
+    candidates: int = 48
+    sources_per_unit: int = 16
+    keep_failed: bool = True
+    mass: float = 0.1
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of work: one source hand on one scene.
+
+    Attributes:
+        name: Name, also of its shard.
+        hand: Index of the source hand among `config.hands`.
+        object: Index of the object among `config.objects`.
+        scene: Number of the stable pose.
+    """
+
+    name: str
+    hand: int
+    object: int
+    scene: int
+
+
+def plan(config: DatasetConfig) -> tuple[Unit, ...]:
+    """The units of a data set, in order.
+
+    Args:
+        config: The configuration.
+
+    Returns:
+        The units.
+
+    Raises:
+        ConfigError: A number is not positive, a list is empty, or a source hand is not among the hands.
+    """
+    if not config.hands or not config.objects:
+        raise ConfigError("hands, objects: name at least one of each")
+    for name in ("scenes_per_object", "candidates", "sources_per_unit"):
+        if getattr(config, name) < 1:
+            raise ConfigError(f"{name}: {getattr(config, name)} must be at least 1")
+    unknown = sorted(set(config.source_hands) - set(config.hands))
+    if unknown:
+        raise ConfigError(f"source_hands: {', '.join(unknown)} must be among hands: add them there")
+    sources = config.source_hands or config.hands
+    return tuple(
+        Unit(f"{Path(obj).stem}-{scene}-{Path(hand).stem}", config.hands.index(hand), o, scene)
+        for o, obj in enumerate(config.objects)
+        for scene in range(config.scenes_per_object)
+        for hand in sources
+    )
+
+
+def object_facts(obj: ObjectModel, path: str) -> ObjectFacts:
+    """What rows say about an object.
+
+    Args:
+        obj: The object.
+        path: Library name or path by which it was loaded.
+
+    Returns:
+        The facts.
+    """
+    return ObjectFacts(obj.name, path, obj.digest, obj.scale, obj.mass, obj.friction, obj.p_OOcm, obj.length)
+
+
+def grasp_object_point(hand: Hand, grasp: Grasp, scene: Scene) -> Array:
+    """The object point that a grasp heads for, in O [m], shape (3,); see `hand.heading`."""
+    R_WLs, p_WLs = forward_kinematics(hand, grasp.X_WH, grasp.q)
+    points_O, _ = scene.object.surface_samples(OBJECT_POINTS)
+    return points_O[object_point(hand, R_WLs, p_WLs, (scene.X_WO @ points_O.T).T)]
+
+
+def rows_of_scene(
+    grasps: list[Grasp], hands: dict[str, Hand], scene: Scene, path: str, digests: dict[str, str] | None = None
+) -> list[Row]:
+    """Rows of grasps of one scene, with the object points that condition the model.
+
+    Args:
+        grasps: Grasps; a retargeted one comes after its source.
+        hands: Their hands by name.
+        scene: Their scene.
+        path: Library name or path of the object.
+        digests: Digest of each hand by name; computed where None.
+
+    Returns:
+        One row a grasp.
+    """
+    facts = object_facts(scene.object, path)
+    digests = digests or {name: hand_digest(hand) for name, hand in hands.items()}
+    points = {grasp.grasp_id: grasp_object_point(hands[grasp.hand], grasp, scene) for grasp in grasps}
+    return [
+        row_from_grasp(
+            # Times differ from run to run; rows do not.
+            replace(grasp, seconds=0.0, lift=None if grasp.lift is None else replace(grasp.lift, seconds=0.0)),
+            scene_id=scene.scene_id,
+            hand=hands[grasp.hand],
+            hand_digest=digests[grasp.hand],
+            object=facts,
+            gains=(LIFT.plant.kp, LIFT.plant.kd),
+            object_point_O=points[grasp.grasp_id],
+            source_object_point_O=points.get(grasp.source_grasp_id or grasp.grasp_id),
+        )
+        for grasp in grasps
+    ]
+
+
+def run_unit(unit: Unit, config: DatasetConfig) -> list[Row]:
+    """The rows of one unit.
+
+    Args:
+        unit: The unit.
+        config: The configuration.
+
+    Returns:
+        Rows of source grasps, then of the grasps retargeted from them.
+    """
+    hands = [load_hand(name) for name in config.hands]
+    source = hands[unit.hand]
+    path = config.objects[unit.object]
+    scene = make_scene(load_object(path, mass=config.mass), seed=config.seed + unit.scene)
+    settings = replace(SynthesisSettings(), batch=config.candidates, keep=0.75)
+    seed = int(np.random.SeedSequence([config.seed, unit.hand, unit.object, unit.scene]).generate_state(1)[0])
+    tally = Tally()
+    grasps = [
+        replace(grasp, grasp_id=f"{unit.name}-{k}")
+        for k, grasp in enumerate(candidates_of_batch(source, scene, seed=seed, settings=settings, tally=tally))
+    ]
+    lifted = list(lift_all(lift_rig(source, scene), iter(grasps), tally))
+    sources = [g for g in lifted if g.lift is not None and g.lift.success][: config.sources_per_unit]
+    result = list(lifted)
+    for target in hands:
+        if target is source:
+            continue
+        carried = [retarget(grasp, source, target, scene).grasp for grasp in sources]
+        result += lift_all(lift_rig(target, scene), (g for g in carried if g is not None), tally)
+    kept = [g for g in result if config.keep_failed or (g.lift is not None and g.lift.success)]
+    return rows_of_scene(kept, {hand.name: hand for hand in hands}, scene, path)
+
+
+def versions() -> dict[str, str]:
+    """Versions of the libraries that rows depend on."""
+    return {name: metadata.version(name) for name in ("clarabel", "coacd", "daqp", "drake", "numpy", "torch")}
+
+
+def manifest(config: DatasetConfig) -> Manifest:
+    """The manifest of a data set; loads every hand and object, and so fails early where one cannot be used."""
+    digests = {f"hand/{load_hand(name).name}": hand_digest(load_hand(name)) for name in config.hands}
+    for path in config.objects:
+        obj = load_object(path, mass=config.mass)
+        digests[f"object/{obj.name}"] = obj.digest
+    plain: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}
+    return Manifest(
+        config=plain,
+        seed=config.seed,
+        units=[unit.name for unit in plan(config)],
+        versions=versions(),
+        digests=digests,
+    )
+
+
+def generate(
+    config: DatasetConfig,
+    folder: str | Path,
+    *,
+    workers: int = 2,
+    timeout_s: float = 900.0,
+    on_done: Callable[[UnitResult[Unit, list[Row]]], None] | None = None,
+) -> tuple[int, int]:
+    """Generates a data set, or goes on with one that was interrupted.
+
+    Args:
+        config: What it is to hold.
+        folder: Its folder.
+        workers: Number of processes; 0 works in this one.
+        timeout_s: Longest wall time of a unit [s].
+        on_done: Called with each unit's result after its shard is written, for progress.
+
+    Returns:
+        Number of units done by this call, and of units that failed.
+
+    Raises:
+        ConfigError: The configuration cannot be used.
+        DatasetError: The folder holds another data set or cannot be written.
+    """
+    units = plan(config)
+    open_dataset(folder, manifest(config))
+    done = completed_units(folder)
+    counts = [0, 0]
+
+    def save(result: UnitResult[Unit, list[Row]]) -> None:
+        if result.value is None:
+            write_failure(folder, result.unit.name, result.failure)
+            counts[1] += 1
+        else:
+            write_shard(folder, result.unit.name, result.value)
+            counts[0] += 1
+        if on_done is not None:
+            on_done(result)
+
+    missing = [unit for unit in units if unit.name not in done]
+    for _ in run_units(missing, partial(run_unit, config=config), workers=workers, on_done=save, timeout_s=timeout_s):
+        pass
+    return counts[0], counts[1]
