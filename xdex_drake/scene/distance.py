@@ -281,7 +281,7 @@ def build_grid(
 ) -> DistanceGrid:
     """Samples a signed distance on a grid around its surface.
 
-    Distances are exact in a band of two to three cells around the surface. Each point beyond takes the closest surface
+    Distances are exact inside, and in a band of two to three cells outside. Each point beyond takes the closest surface
     point of the nearest point of the band, found by a distance transform: its error is a small part of the spacing.
 
     Args:
@@ -301,16 +301,17 @@ def build_grid(
     near = np.zeros(shape, dtype=bool)
     index = np.rint((_cover_surface(exact, 0.6 * spacing) - origin) / spacing).astype(int)
     near[tuple(index.T)] = True
-    band = np.asarray(ndimage.binary_dilation(near, structure=np.ones((3, 3, 3), dtype=bool), iterations=2))
+    band = np.asarray(ndimage.binary_dilation(near, np.ones((3, 3, 3), dtype=bool), iterations=2), dtype=np.bool_)
 
-    points = origin + spacing * np.argwhere(band)
-    result = exact.query(points)
+    position = origin + spacing * np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    result = exact.query(position[band])
     closest, sign = np.zeros((*shape, 3)), np.zeros(shape)
     closest[band], sign[band] = result.closest, np.where(result.distance < 0.0, -1.0, 1.0)
     source = tuple(np.asarray(ndimage.distance_transform_edt(~band, return_distances=False, return_indices=True)))
     closest, sign = closest[source], sign[source]
+    inside = ~band & (sign < 0.0)
+    closest[inside] = exact.query(position[inside]).closest
 
-    position = origin + spacing * np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
     offset = position - closest
     distance = np.linalg.norm(offset, axis=-1)
     gradients = sign[..., None] * offset / np.maximum(distance, 1e-12)[..., None]

@@ -1,6 +1,7 @@
 """Reads a mesh file of any usual format into a clean triangle mesh, or says in one line what is wrong with it."""
 
 import io
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,10 +107,13 @@ def _read_triangles(path: Path) -> tuple[Array, Faces]:
         raise ObjectFileError(f"{path}: the file is empty; export the mesh again")
     if path.stat().st_size > MAX_BYTES:
         raise ObjectFileError(f"{path}: larger than {MAX_BYTES} bytes; simplify the mesh first")
+    data = path.read_bytes()
     options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".gltf", ".glb") else {}
     try:
+        if suffix == ".gltf":
+            json.loads(data)
         scene = trimesh.load_scene(
-            io.BytesIO(path.read_bytes()),
+            io.BytesIO(data),
             file_type=suffix[1:],
             resolver=_FolderResolver(path.parent),
             process=False,
@@ -203,7 +207,10 @@ def _without_fragments(mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Tri
     """Drops scraps, as scanners leave them: open pieces with less than a thousandth of the area."""
     keep, scraps = np.ones(len(mesh.faces), dtype=bool), 0
     for body in _bodies(mesh):
-        if mesh.area_faces[body].sum() < 1e-3 * mesh.area and not mesh.submesh([body], append=True).is_watertight:
+        if (
+            mesh.area_faces[body].sum() < 1e-3 * mesh.area
+            and not trimesh.Trimesh(mesh.vertices, mesh.faces[body], process=False).is_watertight
+        ):
             keep[body] = False
             scraps += 1
     if scraps == 0:
@@ -227,7 +234,7 @@ def _without_small_holes(mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.T
             if v in follows:
                 return mesh  # Holes that touch: leave them to the decomposition's own repair.
             follows[v] = u
-    vertices, faces, filled = [mesh.vertices], [mesh.faces], 0
+    vertices, faces, filled = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0
     count = len(mesh.vertices)
     while follows:
         first = min(follows)

@@ -3,9 +3,10 @@
 import difflib
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from xdex_drake.errors import ObjectFileError, UnknownObject
 from xdex_drake.scene.convex_parts import (
-    RECIPE,
     cache_folder,
     convex_parts,
     mesh_digest,
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
 
+GRID_RECIPE = 3  # Raise whenever the way to the grid changes: it is part of the cache's key.
 DEFAULT_MASS = 0.1
 DEFAULT_FRICTION = 0.6
 
@@ -93,6 +94,10 @@ class ObjectModel:
     digest: str
     report: PreparationReport
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone, for another process: what is computed from them on demand cannot all be copied."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
     @cached_property
     def exact(self) -> ExactDistance:
         """Exact signed distance to the union of the convex parts."""
@@ -107,7 +112,7 @@ class ObjectModel:
     def grid(self) -> DistanceGrid:
         """Signed distance to the union of the convex parts on a grid, kept in the cache."""
         digest = mesh_digest(*self.surface)
-        file = cache_folder() / f"grid-{RECIPE}-{digest[:32]}.npz"
+        file = cache_folder() / f"grid-{GRID_RECIPE}-{digest[:32]}.npz"
         if (arrays := read_cache(file)) is not None:
             try:
                 values, gradients = arrays["values"], arrays["gradients"]
