@@ -85,9 +85,6 @@ print(json.dumps({
     assert found["missing"] == []
 
 
-@pytest.mark.xfail(
-    not (ROOT / "problems" / PROBLEM).is_file(), reason=f"problems/{PROBLEM} has not been written yet", strict=True
-)
 def test_a_problem_is_solved_from_the_wheel(installed, tmp_path):
     where = "from xdex_drake.data_files import data_folder; print(data_folder('problems'))"
     problem = Path(run(installed / "python", "-c", where, cwd=tmp_path).strip()) / PROBLEM
