@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.hand.library import list_hands, load_hand
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
-    from xdex_drake.programs.problems import list_problems, load_problem, solve_problem
+    from xdex_drake.programs.problems import list_problems, load_problem
     from xdex_drake.programs.program import GraspProgram
     from xdex_drake.programs.retargeting import retargeting_program
     from xdex_drake.programs.solve import ProgramResult, solve

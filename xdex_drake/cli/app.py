@@ -51,8 +51,8 @@ COMMANDS: dict[str, Entry] = {
     "dataset generate": Entry("datasets", "DatasetGenerate", "make a paired data set, or go on with one"),
     "dataset info": Entry("datasets", "DatasetInfoCommand", "count what a data set holds"),
     "dataset verify": Entry("datasets", "DatasetVerify", "check every row and every certificate of a data set"),
-    "train": Entry("models", "Train", "train the cross-embodiment model"),
-    "predict": Entry("models", "Predict", "grasps from the model, made feasible and certified"),
+    "train": Entry("datasets", "Train", "train the cross-embodiment model"),
+    "predict": Entry("predict", "Predict", "grasps from the model, made feasible and certified"),
     "view": Entry("show", "View", "stored grasps in Meshcat, live or as one page"),
     "export": Entry("show", "Export", "stored grasps in other tools' formats"),
     "bench": Entry("bench", "Bench", "how long search, polish, certificate and lift take here"),
@@ -141,15 +141,21 @@ def _parse(name: str, words: list[str]) -> Command | int:
 
 
 def _one_line(box: str) -> str:
-    """What the parser says in a box of several lines, up to its first rule, in one line."""
-    lines = []
+    """What the parser says in a box of several lines: its first section, in one line.
+
+    The title stands in the box's frame, or, on a terminal without such characters, above a rule of its own.
+    """
+    sections: list[list[str]] = [[]]
     for line in box.splitlines():
-        text = line.strip().strip("│|").strip()
-        if text and not text.strip("─-╭╮╰╯"):
-            break
-        if text and text[0] not in "╭╰":
-            lines.append(text)
-    return " ".join(lines) or "the options cannot be understood"
+        text = line.strip().strip("│").strip()
+        if not text or text[0] in "╭╰":
+            continue
+        if text.strip("─-"):
+            sections[-1].append(text)
+        else:
+            sections.append([])
+    said = sections[0] if "╭" in box or len(sections) == 1 else sections[1]
+    return " ".join(said) or "the options cannot be understood"
 
 
 def _refuse(message: str) -> int:

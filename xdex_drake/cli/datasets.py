@@ -1,0 +1,205 @@
+"""`xdex dataset ...`: paired data sets."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from xdex_drake.cli.output import check_writable, counts, facts, keeping_finished_work, one_thread, table
+
+
+@dataclass(frozen=True)
+class DatasetGenerate:
+    """Makes a paired data set: grasps of a source hand, and the same grasps by other hands.
+
+    A run that was stopped goes on when the same command is given again, and the same configuration gives the same rows
+    whatever the number of workers. Without a configuration file, its keys and defaults are printed.
+    Try `xdex dataset generate --print-config > pairs.yaml`, then `xdex dataset generate pairs.yaml --out pairs`.
+
+    Attributes:
+        config: A YAML file; what it leaves out keeps its default.
+        out: Folder of the data set.
+        workers: Number of processes.
+        print_config: Print the resolved configuration and do nothing.
+    """
+
+    config: tyro.conf.Positional[Path | None] = None
+    out: Path = Path("dataset")
+    workers: int = 2
+    print_config: tyro.conf.FlagCreatePairsOff[bool] = False
+
+    def run(self) -> int:
+        """Generates, then tells what the folder holds."""
+        one_thread()
+        from xdex_drake.dataset.generation import DatasetConfig, generate
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.typed_yaml import read_typed_yaml
+
+        config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
+        if self.print_config:
+            return _print_yaml(config)
+        if self.config is None:
+            raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
+        if self.workers < 0:
+            raise ConfigError(f"--workers is {self.workers}; give 0 or more")
+        check_writable(self.out / "manifest.json")
+        with keeping_finished_work() as interruption:
+            generate(config, self.out, workers=self.workers)
+        if not (self.out / "manifest.json").exists():
+            return interruption.status(1)
+        rows = _print_info(self.out)
+        if interruption.happened:
+            print("interrupted: give the same command again to go on")
+        return interruption.status(0 if rows else 1)
+
+
+@dataclass(frozen=True)
+class DatasetInfoCommand:
+    """Counts what a data set holds, by hand and by object.
+
+    Attributes:
+        folder: Folder of the data set.
+    """
+
+    folder: tyro.conf.Positional[Path]
+
+    def run(self) -> int:
+        """Prints tables."""
+        return 0 if _print_info(self.folder) else 1
+
+
+@dataclass(frozen=True)
+class DatasetVerify:
+    """Checks a data set: that every shard is whole, every grasp unique, every source there, every certificate sound.
+
+    Certificates are checked in plain NumPy, without a solver.
+
+    Attributes:
+        folder: Folder of the data set.
+        json: Print the report as JSON.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+
+    def run(self) -> int:
+        """Prints what was checked and everything that is wrong; exit status 1 where something is."""
+        from xdex_drake.dataset.store import verify
+        from xdex_drake.grasp import Grasp
+        from xdex_drake.typed_yaml import to_plain
+
+        def recheck(grasp: Grasp) -> str:
+            from xdex_drake.contact.certificate import check_certificate
+
+            if grasp.certificate is None:
+                return "it has no certificate"
+            residuals = check_certificate(grasp.certificate)
+            return "" if residuals.passes() else f"its certificate does not hold: {residuals}"
+
+        report = verify(self.folder, recheck=recheck)
+        if self.json:
+            print(json.dumps(to_plain(report), indent=1))
+            return 0 if report.ok else 1
+        lines = [
+            ("shards", report.shards),
+            ("rows", report.rows),
+            ("lifted", report.successes),
+            ("certificates checked", report.certificates_checked),
+            ("units still to be made", len(report.missing_units)),
+            ("problems", len(report.problems)),
+        ]
+        print(facts(lines))
+        if report.problems:
+            rows = [(problem.unit, problem.grasp_id, problem.reason) for problem in report.problems]
+            print("\n" + table(rows, ("unit", "grasp", "what is wrong")))
+        return 0 if report.ok else 1
+
+
+@dataclass(frozen=True)
+class Train:
+    """Trains the cross-embodiment model on a paired data set, on a CPU or a GPU.
+
+    Ctrl-C ends the run after the current step with everything saved; the same command goes on from there.
+    Try `xdex train --print-config > train.yaml`, then `xdex train train.yaml --data pairs --out model`.
+
+    Attributes:
+        config: A YAML file; what it leaves out keeps its default. Without it, all defaults hold.
+        data: Folder of the data set.
+        out: Folder for the model, its log and the state to go on from.
+        steps: Another number of steps than the configuration's.
+        minutes: Another limit of time than the configuration's.
+        print_config: Print the resolved configuration and do nothing.
+    """
+
+    config: tyro.conf.Positional[Path | None] = None
+    data: Path = Path("dataset")
+    out: Path = Path("model")
+    steps: int | None = None
+    minutes: float | None = None
+    print_config: tyro.conf.FlagCreatePairsOff[bool] = False
+
+    def run(self) -> int:
+        """Trains, prints what was done."""
+        from xdex_drake.model.training import TrainConfig, train
+        from xdex_drake.typed_yaml import read_typed_yaml
+
+        config = TrainConfig() if self.config is None else read_typed_yaml(self.config, TrainConfig)
+        if self.steps is not None:
+            config = replace(config, steps=self.steps)
+        if self.minutes is not None:
+            config = replace(config, minutes=self.minutes)
+        if self.print_config:
+            return _print_yaml(config)
+        from xdex_drake.model.training_data import training_set_from_dataset
+
+        check_writable(self.out / "model.safetensors")
+        report = train(config, training_set_from_dataset(self.data), self.out)
+        lines: list[tuple[str, object]] = [
+            ("stopped", report.stopped),
+            ("steps", report.steps),
+            ("seconds", f"{report.seconds:.0f}"),
+            *((f"validation {name}", value) for name, value in report.validation.items()),
+            ("model", str(report.checkpoint)),
+        ]
+        print(facts(lines))
+        return 130 if report.stopped == "interrupted" else 0
+
+
+def _print_yaml(config: object) -> int:
+    """Prints a configuration as YAML, ready to be changed."""
+    import yaml
+
+    from xdex_drake.typed_yaml import to_plain
+
+    print(yaml.safe_dump(to_plain(config), sort_keys=False, default_flow_style=None), end="")
+    return 0
+
+
+def _print_info(folder: Path) -> int:
+    """Prints what a data set holds; returns the number of its rows."""
+    from xdex_drake.dataset.store import info
+
+    summary = info(folder)
+    print(
+        facts(
+            [
+                ("units", f"{summary.units_done} of {summary.units_planned}"),
+                ("grasps", summary.rows),
+                ("lifted", summary.successes),
+                ("source grasps", summary.sources),
+                ("lifts failed by", counts(summary.failure_reasons)),
+                ("seconds of work", f"{summary.seconds:.0f}"),
+                ("size [MB]", f"{summary.bytes / 1e6:.2f}"),
+            ]
+        )
+    )
+    for title, groups in (("hand", summary.by_hand), ("object", summary.by_object)):
+        rows = [(name, c.rows, c.successes, f"{100.0 * c.successes / c.rows:.0f} %") for name, c in groups.items()]
+        if rows:
+            print("\n" + table(rows, (title, "grasps", "lifted", "rate")))
+    if summary.failures:
+        print("\n" + table(sorted(summary.failures.items()), ("failed unit", "reason")))
+    return summary.rows
