@@ -171,12 +171,15 @@ def solve_points(
             R_new = rotation_step(R, step[:, :3])
             p_new = p + step[:, 3:6]
             q_new = torch.minimum(torch.maximum(q + step[:, 6:], low), high)
-            new_cost, new_poses, new_points, new_error = cost_of(R_new, p_new, q_new)
+            new_cost, *_ = cost_of(R_new, p_new, q_new)
             better = new_cost < cost
             damping = torch.where(better[:, None], damping * 0.2, damping * 5.0).clamp(1e-9, 1e3)
+            cost = torch.where(better, new_cost, cost)
             R = torch.where(better[:, None, None], R_new, R)
             p = torch.where(better[:, None], p_new, p)
             q = torch.where(better[:, None], q_new, q)
+            if float((step * better[:, None]).abs().max()) < 1e-7:
+                break
             cost, poses, points, error = cost_of(R, p, q)
     errors = (cost / weights.sum()).sqrt()
     return IkResult(R.cpu().numpy(), p.cpu().numpy(), q.cpu().numpy(), errors.cpu().numpy())

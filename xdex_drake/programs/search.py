@@ -585,6 +585,41 @@ def search(
         state = sample_starts(problem, hand, scene, count, seed)
         energy, values = descend(problem, state)
     order = torch.argsort(energy)
+    return _candidates(state, energy, values, order)
+
+
+def refine(
+    hand: Hand, scene: Scene, starts: Candidates, *, settings: SearchSettings, device: str = "cpu"
+) -> Candidates:
+    """Descends given starts, such as a model's predictions.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        starts: Where to start, with the fingers that shall touch.
+        settings: Settings.
+        device: Torch device.
+
+    Returns:
+        The candidates, in the order of the starts.
+    """
+    problem = search_problem(hand, scene, settings, device=device)
+
+    def tensor(values: Array) -> torch.Tensor:
+        return torch.as_tensor(values.astype(float), dtype=problem.batched.dtype, device=device)
+
+    fingers = tensor(starts.fingers)
+    forces = torch.zeros((*fingers.shape, 3), dtype=fingers.dtype, device=device)
+    with torch.no_grad():
+        state = State(tensor(starts.R_WHs), tensor(starts.p_WHs), tensor(starts.qs), fingers, forces)
+        energy, values = descend(problem, state)
+    return _candidates(state, energy, values, torch.arange(len(energy), device=device))
+
+
+def _candidates(
+    state: State, energy: torch.Tensor, values: dict[str, torch.Tensor], order: torch.Tensor
+) -> Candidates:
+    """Candidates in NumPy, in the given order."""
 
     def array(t: torch.Tensor) -> Array:
         return t[order].cpu().numpy().astype(float)
@@ -597,4 +632,3 @@ def search(
         energy=array(energy),
         terms={name: array(value) for name, value in values.items()},
     )
-
