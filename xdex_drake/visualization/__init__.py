@@ -1,0 +1,1 @@
+"""Meshcat pages and recordings, pictures and reports."""

@@ -1,0 +1,215 @@
+"""Still pictures of grasps, without a window: Drake's VTK renderer."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    LightParameter,
+    MakeRenderEngineVtk,
+    QueryObject,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    Rgba,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.sensors import CameraInfo
+
+from xdex_drake.errors import MissingExtra
+from xdex_drake.grasp import Grasp
+from xdex_drake.hand.description import Hand
+from xdex_drake.scene.plant import ScenePlant, build_plant
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.visualization.views import best_view
+
+Image = NDArray[np.uint8]
+
+RENDERER = "pictures"
+FOV_Y = 0.6
+"""Vertical field of view of the camera [rad]."""
+
+CLEAR_COLOR = (0.96, 0.97, 0.98)
+"""Background color."""
+
+_PROBE = "from xdex_drake.visualization.pictures import _probe; _probe()"
+
+
+@dataclass(frozen=True)
+class Studio:
+    """A hand and a scene that pictures are taken of, any number of them.
+
+    Attributes:
+        bench: Hand, object and table with a renderer.
+        context: Context of `bench.diagram`.
+    """
+
+    bench: ScenePlant
+    context: Context
+
+
+def _lights() -> list[LightParameter]:
+    """A key light over the camera's left shoulder, whose shadows show what touches what, and fill lights without."""
+
+    def fill(position: tuple[float, float, float], intensity: float) -> LightParameter:
+        # Point lights cast no shadows.
+        return LightParameter(type="point", frame="camera", position=np.array(position), intensity=intensity)
+
+    key = LightParameter(
+        type="directional",
+        color=Rgba(1.0, 0.98, 0.95),
+        frame="camera",
+        direction=np.array([0.45, 0.75, 0.6]),
+        intensity=0.75,
+    )
+    return [key, fill((1.5, -0.8, -0.5), 0.45), fill((-0.3, -0.3, 0.0), 0.55)]
+
+
+def _backend() -> str:
+    # EGL needs no display. Where VTK has one kind of window only, its default is taken.
+    return "EGL" if sys.platform.startswith("linux") else ""
+
+
+def _add_renderer(scene_graph: SceneGraph) -> None:
+    parameters = RenderEngineVtkParams(
+        default_clear_color=np.array(CLEAR_COLOR),
+        lights=_lights(),
+        cast_shadows=True,
+        shadow_map_size=2048,
+        backend=_backend(),
+    )
+    scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(parameters))
+
+
+def _query(scene_graph: SceneGraph, context: Context) -> QueryObject:
+    return cast(QueryObject, scene_graph.get_query_output_port().Eval(context))
+
+
+def _probe() -> None:
+    """Renders an empty picture; run in a process of its own, since graphics libraries crash rather than raise."""
+    scene_graph = SceneGraph()
+    _add_renderer(scene_graph)
+    _query(scene_graph, scene_graph.CreateDefaultContext()).RenderColorImage(
+        _camera(32, 24), scene_graph.world_frame_id(), RigidTransform()
+    )
+
+
+@cache
+def can_render() -> bool:
+    """Whether this machine can render pictures; tried once, in another process, since failing may end the process."""
+    try:
+        result = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return result.returncode == 0
+
+
+def _require_rendering() -> None:
+    if not can_render():
+        raise MissingExtra(
+            "pictures cannot be rendered on this machine; install its OpenGL library (Debian and Ubuntu: "
+            "`apt install libegl1 libgl1-mesa-dri`), or go on without pictures"
+        )
+
+
+def _camera(width: int, height: int) -> ColorRenderCamera:
+    info = CameraInfo(width=width, height=height, fov_y=FOV_Y)
+    return ColorRenderCamera(RenderCameraCore(RENDERER, info, ClippingRange(0.01, 10.0), RigidTransform()), False)
+
+
+def make_studio(
+    hand: Hand,
+    scene: Scene,
+    *,
+    extend: Callable[[DiagramBuilder, MultibodyPlant, SceneGraph], None] | None = None,
+) -> Studio:
+    """Prepares to take pictures of grasps of one hand in one scene.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        extend: Called before the diagram is built, to add geometry of your own.
+
+    Returns:
+        The studio.
+
+    Raises:
+        MissingExtra: This machine cannot render.
+    """
+    _require_rendering()
+
+    def add(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
+        _add_renderer(scene_graph)
+        if extend is not None:
+            extend(builder, plant, scene_graph)
+
+    bench = build_plant(hand, scene, extend=add)
+    return Studio(bench, bench.diagram.CreateDefaultContext())
+
+
+def take_picture(
+    studio: Studio, grasp: Grasp, *, size: tuple[int, int] = (480, 360), X_WC: RigidTransform | None = None
+) -> Image:
+    """Takes a picture of a grasp.
+
+    Args:
+        studio: The studio of its hand and scene.
+        grasp: The grasp.
+        size: Width and height [pixels].
+        X_WC: Pose of the camera, z forward and y down; one that frames the grasp where None.
+
+    Returns:
+        Red, green and blue, shape (height, width, 3).
+    """
+    bench = studio.bench
+    assert bench.scene is not None
+    width, height = size
+    if X_WC is None:
+        X_WC = best_view(grasp, bench.hand, bench.scene, fov_y=FOV_Y, aspect=width / height)
+    plant_context = bench.plant.GetMyMutableContextFromRoot(studio.context)
+    bench.set_wrist(plant_context, grasp.X_WH)
+    bench.set_joints(plant_context, grasp.q)
+    bench.set_object(plant_context, grasp.X_WO)
+    scene_graph = bench.scene_graph
+    query = _query(scene_graph, scene_graph.GetMyContextFromRoot(studio.context))
+    # Four samples a pixel, for smooth edges.
+    image = query.RenderColorImage(_camera(2 * width, 2 * height), scene_graph.world_frame_id(), X_WC)
+    samples = image.data[:, :, :3].reshape(height, 2, width, 2, 3).astype(np.uint16).sum(axis=(1, 3))
+    return ((samples + 2) // 4).astype(np.uint8)
+
+
+def render_grasp(
+    grasp: Grasp,
+    hand: Hand,
+    scene: Scene,
+    *,
+    size: tuple[int, int] = (480, 360),
+    X_WC: RigidTransform | None = None,
+) -> Image:
+    """Renders one grasp; for many of one hand and scene, `make_studio` and `take_picture` are faster.
+
+    Args:
+        grasp: The grasp.
+        hand: Its hand.
+        scene: Its scene.
+        size: Width and height [pixels].
+        X_WC: Pose of the camera, z forward and y down; one that frames the grasp where None.
+
+    Returns:
+        Red, green and blue, shape (height, width, 3).
+
+    Raises:
+        MissingExtra: This machine cannot render.
+    """
+    return take_picture(make_studio(hand, scene), grasp, size=size, X_WC=X_WC)
