@@ -1,0 +1,166 @@
+"""Grasp programs: Jacobians, solvers, openness, infeasibility, inverse kinematics, retargeting."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from xdex_drake.errors import ConfigError
+from xdex_drake.hand.kinematics import Configuration, forward_kinematics
+from xdex_drake.hand.library import load_hand
+from xdex_drake.programs.force_closure import PolishSettings, force_closure_program, program_of_candidate
+from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_points
+from xdex_drake.programs.link_pose_ik import link_pose_ik
+from xdex_drake.programs.retargeting import corresponding_fingers
+from xdex_drake.programs.search import search
+from xdex_drake.programs.solve import judge, solve
+from xdex_drake.scene.object import load_object
+from xdex_drake.scene.tabletop import make_scene
+
+
+@pytest.fixture(scope="module")
+def found(allegro, can_scene):
+    return search(allegro, can_scene, count=24, seed=0)
+
+
+@pytest.fixture(scope="module")
+def solved(allegro, can_scene, found):
+    for row in range(10):
+        result = solve(program_of_candidate(allegro, can_scene, found, row))
+        if result.success:
+            return row, result
+    pytest.fail("none of ten candidates could be polished")
+
+
+def test_jacobians_of_all_blocks_agree_with_differences(allegro, can_scene, found):
+    program = program_of_candidate(allegro, can_scene, found, 0)
+    rng = np.random.default_rng(0)
+    point = program.start.moved(1e-3 * rng.normal(size=program.start.size))
+    h = 1e-6
+    for block in program.constraints:
+        # The pyramid's edges may spin about the normal, which its rows leave out: they are held to less.
+        for evaluate, loose in ((block.evaluate, False), (block.inner, True)):
+            if evaluate is None:
+                continue
+            g, J = evaluate(point)
+            numeric = np.zeros_like(J)
+            for c in range(point.size):
+                d = np.zeros(point.size)
+                d[c] = h
+                numeric[:, c] = (evaluate(point.moved(d))[0] - evaluate(point.moved(-d))[0]) / (2 * h)
+            # Rows that are 2 cm from active are known to need no derivative; facets' edges cost a few rows.
+            near = np.abs(g) < 20.0 if block.unit == "mm" else np.ones(len(g), dtype=bool)
+            if not near.any():
+                continue
+            error = np.abs(J - numeric)[near].max(axis=1) / max(1.0, np.abs(numeric[near]).max())
+            limit = 5e-2 if loose else 1e-2 if block.name == "wrench" else 1e-5
+            assert np.mean(error <= limit) > 0.8, block.name
+    for cost in program.costs:
+        numeric = [
+            (cost.value(point.moved(d)) - cost.value(point.moved(-d))) / (2 * h) for d in h * np.eye(point.size)
+        ]
+        assert np.abs(cost.gradient(point) - numeric).max() < 1e-5 * max(1.0, np.abs(numeric).max())
+
+
+def test_a_solved_program_touches_and_does_not_penetrate(allegro, can_scene, solved):
+    _, result = solved
+    point = result.point
+    assert np.abs(point.contact_gaps).max() < 2e-4
+    _, gaps, _ = point.object_distances
+    assert gaps.min() > -3e-4
+    assert (point.centers_W[:, 2] - allegro.spheres[:, 3]).min() > 0.0
+    assert result.worst == "" and "wrench" in result.violations
+
+
+def test_drake_solvers_read_the_same_program(allegro, can_scene, found, solved):
+    row, _ = solved
+    program = program_of_candidate(allegro, can_scene, found, row)
+    x0 = program.prog.initial_guess()
+    # The MathematicalProgram's constraints are the blocks.
+    bindings = {b.evaluator().get_description(): b for b in program.prog.generic_constraints()}
+    for block in program.constraints:
+        if block.name in bindings:
+            value = bindings[block.name].evaluator().Eval(x0)
+            assert np.allclose(value, block.at(program.start)[0], atol=1e-9)
+    result = solve(program, solver="snopt")
+    assert result.violations["contact"] < 1.0
+
+
+def test_rates_of_the_decision_variables(allegro, can_scene, found):
+    program = program_of_candidate(allegro, can_scene, found, 1)
+    x = program.prog.initial_guess()
+    T, h = program.rates(x), 1e-6
+    k0 = program.point(x).k
+    for c in range(7):
+        d = np.zeros(len(x))
+        d[c] = h
+        k1 = program.point(x + d).k
+        turn = (k1.X_WH.rotation() @ k0.X_WH.rotation().inverse()).ToAngleAxis()
+        tangent = np.concatenate([turn.angle() * turn.axis(), k1.X_WH.translation() - k0.X_WH.translation()]) / h
+        assert np.abs(tangent - T[:6, c]).max() < 1e-4
+
+
+def test_a_users_own_cost_has_its_effect(allegro, can_scene, found, solved):
+    row, plain = solved
+    program = program_of_candidate(allegro, can_scene, found, row)
+    program.add_cost("straight index", lambda k: float(k.q[1] ** 2 + k.q[2] ** 2), weight=5.0)
+    result = solve(program)
+    assert result.costs["straight index"] < 5.0 * float(plain.point.k.q[1] ** 2 + plain.point.k.q[2] ** 2)
+    assert "straight index" in str(program)
+
+
+def test_an_impossible_problem_names_its_constraint(allegro):
+    # A box far larger than the hand: no contact set can hold it within the cones.
+    scene = make_scene(load_object("box", scale=8.0))
+    program = force_closure_program(allegro, scene, starts=8)
+    result = solve(program)
+    assert not result.success
+    assert result.worst in {block.name for block in program.constraints}
+    assert judge(program, result.point)[1] == result.worst
+
+
+def test_unknown_solver(allegro, can_scene, found):
+    with pytest.raises(ConfigError, match="choose one of"):
+        solve(program_of_candidate(allegro, can_scene, found, 0), solver="magic")
+
+
+@pytest.mark.parametrize("name", ["allegro", "shadow", "ability", "inspire", "schunk_svh"])
+def test_link_poses_to_configuration_and_back(name):
+    hand, rng, B = load_hand(name), np.random.default_rng(0), 16
+    R0, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.q_rest)))
+    qs = rng.uniform(hand.limits[0], hand.limits[1], size=(B, len(hand.q_rest)))
+    Xs = [RigidTransform(RollPitchYaw(rng.uniform(-3, 3, 3)), 0.2 * rng.normal(size=3)) for _ in range(B)]
+    poses = [forward_kinematics(hand, X, q) for X, q in zip(Xs, qs, strict=True)]
+    found = link_pose_ik(
+        hand, np.array([R @ np.swapaxes(R0, 1, 2) for R, _ in poses]), np.array([p for _, p in poses])
+    )
+    assert found.errors.max() < 1e-6
+    assert np.abs(found.qs - qs).max() < 1e-4
+
+
+def test_keypoints_of_the_same_hand_are_met_exactly(allegro):
+    rng = np.random.default_rng(0)
+    X_WH = RigidTransform(RollPitchYaw(0.3, -0.2, 1.0), [0.1, 0.0, 0.3])
+    q = np.clip(allegro.q_rest + 0.1 * rng.normal(size=16), *allegro.limits)
+    targets = keypoint_targets(allegro, X_WH, q, allegro)
+    start = X_WH.translation() + 0.02
+    found = solve_points(allegro, targets, X_WH.rotation().matrix()[None], start[None], allegro.q_rest[None])
+    assert found.errors[0] < 1e-4
+    assert isinstance(Configuration.at(allegro, X_WH, q), Configuration)
+
+
+def test_fingers_correspond_by_name():
+    shadow = load_hand("shadow")
+    chosen = corresponding_fingers({"thumb", "index", "ring"}, shadow)
+    assert [f.name for f, c in zip(shadow.fingers, chosen, strict=True) if c] == ["thumb", "index", "ring"]
+    assert corresponding_fingers({"thumb"}, shadow).sum() == 3
+
+
+def test_tighter_friction_asks_for_more(allegro, can_scene, solved):
+    # A point that satisfies the cones of a small coefficient satisfies those of a larger one.
+    _, result = solved
+    point = result.point
+    from xdex_drake.programs.constraints import cone_block
+
+    nc = len(point.contacts.spheres)
+    wide, narrow = cone_block(nc, 0.6), cone_block(nc, 0.6 * PolishSettings().friction_fraction)
+    assert wide.violation(point) <= narrow.violation(point)

@@ -1,0 +1,110 @@
+"""Lifts: what succeeds, what fails and why, and that the same inputs give the same verdict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+
+from xdex_drake.contact.certificate import check_certificate
+from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
+from xdex_drake.hand.library import load_hand
+from xdex_drake.scene.object import load_object
+from xdex_drake.scene.tabletop import make_scene
+from xdex_drake.simulation.lift import FAILURE_REASONS, lift_rig, simulate_lift, targets
+from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp
+from xdex_drake.simulation.protocol import LIFT
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return load_hand("allegro")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene(load_object("can"))
+
+
+@pytest.fixture(scope="module")
+def rig(hand, scene):
+    return lift_rig(hand, scene)
+
+
+@pytest.fixture(scope="module")
+def grasps(hand, scene):
+    settings = replace(SynthesisSettings(), batch=24)
+    grasps = list(candidates_of_batch(hand, scene, seed=0, settings=settings, tally=Tally()))
+    assert grasps, "a search of 24 candidates gave no certified grasp of a can"
+    return grasps
+
+
+@pytest.fixture(scope="module")
+def verdicts(rig, grasps):
+    return [simulate_lift(rig, grasp) for grasp in grasps]
+
+
+def test_certified_grasps_lift(verdicts):
+    assert np.mean([v.success for v in verdicts]) >= 0.6
+    for v in verdicts:
+        assert v.success == (v.failure_reason == "")
+        assert v.failure_reason in ("", *FAILURE_REASONS)
+        if v.success:
+            assert v.lift_height_m >= LIFT.success_m and len(v.fingertips) >= LIFT.fingertips
+
+
+def test_certificates_hold_without_a_solver(grasps, hand, scene):
+    for grasp in grasps:
+        residuals = check_certificate(grasp.certificate)
+        assert residuals.passes(1e-6), residuals
+        assert residuals.wrench <= 1e-6
+        assert grasp.penetration_parts_m <= 1e-3
+        assert np.all((grasp.q >= hand.limits[0]) & (grasp.q <= hand.limits[1]))
+
+
+def test_the_pregrasp_clears_the_object(grasps, hand, scene):
+    opened = pregrasp(hand, scene, grasps[0].X_WH, grasps[0].q)
+    assert opened.clearance > 0.8 * CLEARANCE
+    assert np.allclose(opened.X_WH.rotation().matrix(), grasps[0].X_WH.rotation().matrix())
+
+
+def test_verdicts_repeat_in_any_order(rig, grasps, verdicts, hand, scene):
+    again = simulate_lift(rig, grasps[0])
+    fresh = simulate_lift(lift_rig(hand, scene), grasps[0])
+    for other in (again, fresh):
+        assert replace(other, seconds=0.0) == replace(verdicts[0], seconds=0.0)
+
+
+def far(grasp, offset):
+    """The same grasp with the hand moved away."""
+    shift = RigidTransform(np.asarray(offset, dtype=float))
+    return replace(grasp, X_WH=shift @ grasp.X_WH, X_WH_pregrasp=shift @ grasp.X_WH_pregrasp)
+
+
+def test_a_hand_that_never_touches_never_lifts(rig, grasps):
+    verdict = simulate_lift(rig, far(grasps[0], [0.0, 0.0, 0.4]))
+    assert not verdict.success and verdict.failure_reason == "not_grasped"
+    assert abs(verdict.lift_height_m) < 2e-3
+
+
+def test_a_pregrasp_in_contact_is_named(rig, grasps):
+    start = replace(grasps[0], q_pregrasp=grasps[0].q_squeeze, X_WH_pregrasp=grasps[0].X_WH)
+    assert simulate_lift(rig, start).failure_reason == "pregrasp_in_contact"
+
+
+def test_a_hand_in_the_table_is_named(rig, grasps):
+    verdict = simulate_lift(rig, far(grasps[0], [0.5, 0.0, -0.3]))
+    assert verdict.failure_reason == "table_collision"
+
+
+def test_a_heavy_object_slips(hand, grasps):
+    heavy = make_scene(load_object("can", mass=3.0))
+    verdict = simulate_lift(lift_rig(hand, heavy), grasps[0])
+    assert verdict.failure_reason in ("slipped", "not_grasped")
+
+
+def test_targets_start_at_the_pregrasp_and_end_at_the_squeeze(grasps):
+    q, offset = targets(grasps[0], LIFT, 0.0)
+    assert np.allclose(q, grasps[0].q_pregrasp)
+    q, offset = targets(grasps[0], LIFT, LIFT.duration_s)
+    assert np.allclose(q, grasps[0].q_squeeze) and np.allclose(offset, [0.0, 0.0, LIFT.rise_m])
