@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from PIL import ImageDraw, ImageFont
 from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
@@ -27,7 +29,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from xdex_drake.errors import MissingExtra
+from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import ScenePlant, build_plant
@@ -100,9 +102,8 @@ def _probe() -> None:
     """Renders an empty picture; run in a process of its own, since graphics libraries crash rather than raise."""
     scene_graph = SceneGraph()
     _add_renderer(scene_graph)
-    _query(scene_graph, scene_graph.CreateDefaultContext()).RenderColorImage(
-        _camera(32, 24), scene_graph.world_frame_id(), RigidTransform()
-    )
+    query = _query(scene_graph, scene_graph.CreateDefaultContext())
+    query.RenderColorImage(_camera(32, 24), scene_graph.world_frame_id(), RigidTransform())
 
 
 @cache
@@ -213,3 +214,35 @@ def render_grasp(
         MissingExtra: This machine cannot render.
     """
     return take_picture(make_studio(hand, scene), grasp, size=size, X_WC=X_WC)
+
+
+def contact_sheet(images: Sequence[Image], labels: Sequence[str], columns: int = 4) -> Image:
+    """Puts pictures side by side with a label under each.
+
+    Args:
+        images: Pictures of one size, each (height, width, 3); at least one.
+        labels: A label for each.
+        columns: Number of pictures in a row.
+
+    Returns:
+        One picture, shape (rows * (height + room for a label), columns * width, 3).
+
+    Raises:
+        ConfigError: There is no picture, sizes or numbers differ, or `columns` is below one.
+    """
+    if not images or len(labels) != len(images) or columns < 1 or len({image.shape for image in images}) != 1:
+        raise ConfigError(
+            f"a contact sheet needs pictures of one size, a label for each and one column or more; got {len(images)} "
+            f"pictures of sizes {sorted({image.shape for image in images})}, {len(labels)} labels, {columns} columns"
+        )
+    height, width = images[0].shape[:2]
+    columns = min(columns, len(images))
+    rows, room = -(-len(images) // columns), max(16, height // 14)
+    font = ImageFont.load_default(size=0.62 * room)
+    paper = PillowImage.new("RGB", (columns * width, rows * (height + room)), "white")
+    draw = ImageDraw.Draw(paper)
+    for k, (image, label) in enumerate(zip(images, labels, strict=True)):
+        x, y = (k % columns) * width, (k // columns) * (height + room)
+        paper.paste(PillowImage.fromarray(image), (x, y))
+        draw.text((x + width // 2, y + height + room // 2), label, fill=(40, 46, 56), font=font, anchor="mm")
+    return np.asarray(paper)

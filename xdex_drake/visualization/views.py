@@ -156,6 +156,10 @@ def best_direction(grasp: Grasp, hand: Hand, scene: Scene) -> Array:
     near = np.linalg.norm(everything.centers_W[None] - tips[:, None], axis=2) < everything.radii + 0.006
     skip_tips = (sphere_links[None] == tip_links[:, None]) | near
     skip_object = np.broadcast_to(np.arange(len(everything.radii)) >= n_hand, (len(points), len(everything.radii)))
+    # A third of the spheres stands for the whole hand; what lies about a sphere's center does not hide it.
+    some = blobs.centers_W[::3]
+    apart = np.linalg.norm(everything.centers_W[None] - some[:, None], axis=2)
+    skip_some = apart < everything.radii + blobs.radii[::3, None]
     center = points.mean(axis=0)
     best, best_score = np.array([0.0, -1.0, 0.5]), -np.inf
     for elevation in ELEVATIONS:
@@ -167,7 +171,13 @@ def best_direction(grasp: Grasp, hand: Hand, scene: Scene) -> Array:
             seen = faces_camera & ~_hidden(points, p_WC, everything, skip_object)
             seen_tips = ~_hidden(tips, p_WC, everything, skip_tips)
             # A three-quarter view from a little above is the pleasant one where nothing else decides.
-            score = seen_tips.mean() + 1.2 * seen.sum() / max(1, faces_camera.sum()) - 0.4 * abs(elevation - 0.45)
+            seen_hand = ~_hidden(some, p_WC, everything, skip_some)
+            score = (
+                seen_tips.mean()
+                + 0.5 * seen_hand.mean()
+                + 1.2 * seen.sum() / max(1, faces_camera.sum())
+                - 0.4 * abs(elevation - 0.45)
+            )
             if score > best_score + 1e-9:
                 best, best_score = d, float(score)
     return best
