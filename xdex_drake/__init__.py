@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.hand.library import list_hands, load_hand
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
+    from xdex_drake.programs.link_pose_ik import link_pose_ik, link_pose_ik_program
     from xdex_drake.programs.problems import list_problems, load_problem
     from xdex_drake.programs.program import GraspProgram
     from xdex_drake.programs.retargeting import retargeting_program
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from xdex_drake.scene.tabletop import Scene, make_scene, point_cloud
     from xdex_drake.simulation.lift import lift
     from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+    from xdex_drake.visualization.pictures import render_grasp
+    from xdex_drake.visualization.replay import grasp_page, replay_lift, view_live
 
     __version__: str
 
@@ -48,6 +51,7 @@ _MODULES = {
     "hand.kinematics": ("Configuration",),
     "hand.library": ("list_hands", "load_hand"),
     "programs.force_closure": ("force_closure_program", "polish_program"),
+    "programs.link_pose_ik": ("link_pose_ik", "link_pose_ik_program"),
     "programs.problems": ("list_problems", "load_problem"),
     "programs.program": ("GraspProgram",),
     "programs.retargeting": ("retargeting_program",),
@@ -58,6 +62,8 @@ _MODULES = {
     "scene.tabletop": ("Scene", "make_scene", "point_cloud"),
     "simulation.lift": ("lift",),
     "simulation.protocol": ("LIFT", "LiftProtocol"),
+    "visualization.pictures": ("render_grasp",),
+    "visualization.replay": ("grasp_page", "replay_lift", "view_live"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
@@ -86,7 +92,10 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "check_certificate",
     "finish_grasp",
     "force_closure_program",
+    "grasp_page",
     "lift",
+    "link_pose_ik",
+    "link_pose_ik_program",
     "list_hands",
     "list_objects",
     "list_problems",
@@ -97,6 +106,8 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "make_scene",
     "point_cloud",
     "polish_program",
+    "render_grasp",
+    "replay_lift",
     "retarget",
     "retargeting_program",
     "save_grasps",
@@ -104,6 +115,7 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "solve_problem",
     "synthesize",
     "task_margin",
+    "view_live",
 ]
 
 

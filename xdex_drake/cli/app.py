@@ -75,6 +75,7 @@ def run(argv: Sequence[str] | None = None) -> int:
     """Runs one command line; see `xdex_drake.cli.main`."""
     words = list(sys.argv[1:] if argv is None else argv)
     logging.basicConfig(level=logging.WARNING, format="xdex: %(message)s", stream=sys.stderr)
+    logging.getLogger("drake").setLevel(logging.WARNING)
     try:
         return _run(words)
     except XdexError as error:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
-from xdex_drake.cli.output import check_writable, counts, facts, keeping_finished_work, one_thread, table
+from xdex_drake.cli.output import check_writable, counts, facts, keeping_finished_work, one_thread, progress, table
+
+if TYPE_CHECKING:
+    from xdex_drake.dataset.executors import UnitResult
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,8 @@ class DatasetGenerate:
     def run(self) -> int:
         """Generates, then tells what the folder holds."""
         one_thread()
-        from xdex_drake.dataset.generation import DatasetConfig, generate
+        from xdex_drake.dataset.generation import DatasetConfig, generate, plan
+        from xdex_drake.dataset.store import completed_units
         from xdex_drake.errors import ConfigError
         from xdex_drake.typed_yaml import read_typed_yaml
 
@@ -45,9 +50,16 @@ class DatasetGenerate:
             raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
         if self.workers < 0:
             raise ConfigError(f"--workers is {self.workers}; give 0 or more")
+        units = plan(config)
         check_writable(self.out / "manifest.json")
-        with keeping_finished_work() as interruption:
-            generate(config, self.out, workers=self.workers)
+        missing = len({unit.name for unit in units} - completed_units(self.out))
+        with keeping_finished_work() as interruption, progress(missing, "units") as bar:
+
+            def tell(done: UnitResult) -> None:
+                bar.set_postfix_str(done.unit.name, refresh=False)
+                bar.update()
+
+            generate(config, self.out, workers=self.workers, on_done=tell)
         if not (self.out / "manifest.json").exists():
             return interruption.status(1)
         rows = _print_info(self.out)

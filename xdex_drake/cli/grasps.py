@@ -198,7 +198,9 @@ class Retarget:
                 else:
                     tally[4][grasp.lift.failure_reason] = tally[4].get(grasp.lift.failure_reason, 0) + 1
                 if grasp.lift.success or self.keep_failed:
-                    rows += rows_of([grasp], targets[unit.target], stored[unit.index].scene)
+                    item = stored[unit.index]
+                    points = {item.grasp.grasp_id: item.row["object_point_O"]}
+                    rows += rows_of([grasp], targets[unit.target], item.scene, source_points=points)
         if rows:
             files = {hand.name: target for target, hand in targets.items() if Path(target).suffix}
             write_grasps(self.out, rows, metadata=hand_paths_entry(files))

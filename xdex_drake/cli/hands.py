@@ -1,13 +1,21 @@
 """`xdex hand ...`: the hands."""
 
-import sys
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from xdex_drake.cli.output import check_output_file, facts, table
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat, SceneGraph
+    from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.systems.framework import DiagramBuilder
+
+    from xdex_drake.hand.description import Hand
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 
@@ -93,30 +101,33 @@ class HandView:
         """Shows the hand until Enter is pressed, or writes the page."""
         if self.html is not None:
             check_output_file(self.html, ".html")
-        from pydrake.geometry import Meshcat, MeshcatVisualizer, Role, SceneGraph
-        from pydrake.geometry import MeshcatVisualizerParams as Params
-        from pydrake.math import RigidTransform
-        from pydrake.multibody.plant import MultibodyPlant
-        from pydrake.systems.framework import DiagramBuilder
-
         from xdex_drake.cli.show import wait_for_enter, write_text
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.scene.plant import build_plant
+        from xdex_drake.visualization.replay import start_meshcat
 
         hand = load_hand(self.hand)
-        meshcat = Meshcat()
-
-        def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-            MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, Params(role=Role.kIllustration))
-
-        bench = build_plant(hand, extend=extend)
-        context = bench.diagram.CreateDefaultContext()
-        plant_context = bench.plant.GetMyMutableContextFromRoot(context)
-        bench.set_joints(plant_context, hand.q_rest)
-        bench.set_wrist(plant_context, RigidTransform())
-        bench.diagram.ForcedPublish(context)
+        meshcat = start_meshcat()
+        _draw_hand(meshcat, hand)
         if self.html is None:
-            return wait_for_enter(meshcat.web_url(), sys.stdin)
+            return wait_for_enter(meshcat.web_url())
         write_text(self.html, meshcat.StaticHtml())
         print(f"{hand.name}: {self.html}")
         return 0
+
+
+def _draw_hand(meshcat: Meshcat, hand: Hand) -> None:
+    """Draws a hand at rest, its wrist at the origin."""
+    from pydrake.geometry import MeshcatVisualizer
+    from pydrake.math import RigidTransform
+
+    from xdex_drake.scene.plant import build_plant
+
+    def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
+        MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+
+    bench = build_plant(hand, extend=extend)
+    context = bench.diagram.CreateDefaultContext()
+    plant_context = bench.plant.GetMyMutableContextFromRoot(context)
+    bench.set_joints(plant_context, hand.q_rest)
+    bench.set_wrist(plant_context, RigidTransform())
+    bench.diagram.ForcedPublish(context)

@@ -13,7 +13,7 @@ from xdex_drake.cli.output import check_output_file, counts, keeping_finished_wo
 
 @dataclass(frozen=True)
 class Predict:
-    """Grasps from the model, for hands it has seen or not: link poses are drawn, turned into joints, polished and proved.
+    """Grasps from the model, for hands it has seen or not: drawn as link poses, turned into joints, polished, proved.
 
     Equal draws for several hands give corresponding grasps. Without --model, the small model of the library is used.
     Try `xdex predict --hand shadow ability --object mug --count 20`.

@@ -20,39 +20,63 @@ if TYPE_CHECKING:
     from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
 
+MOST_SHOWN = 20
+"""Grasps that `xdex view --all` shows."""
+
 
 @dataclass(frozen=True)
 class View:
-    """A stored grasp in Meshcat: its lift is simulated, recorded, and played in the browser.
+    """Stored grasps in Meshcat: one that is lifted, or several side by side with their contacts, cones and forces.
 
-    Try `xdex view grasps.parquet`, then `xdex view grasps.parquet --row 3 --html third.html`.
+    Without --html, Meshcat shows them live until Enter is pressed; with it, one page is written that needs no network.
+    Try `xdex view grasps.parquet`, then `xdex view grasps.parquet --all --html all.html`.
 
     Attributes:
         file: A file of grasps.
-        row: Which grasp, counted from 0.
-        html: The page; it is opened by any browser and needs no network.
+        row: Which grasp, counted from 0; its lift is simulated and played.
+        all: Show all grasps instead (the first 20), as they stand.
+        html: Write a page instead of showing them live.
     """
 
     file: tyro.conf.Positional[Path]
     row: int = 0
-    html: Path = Path("grasp.html")
+    all: tyro.conf.FlagCreatePairsOff[bool] = False
+    html: Path | None = None
 
     def run(self) -> int:
-        """Writes the page."""
-        check_output_file(self.html, ".html")
+        """Shows the grasps, or writes the page."""
+        if self.html is not None:
+            check_output_file(self.html, ".html")
         from xdex_drake.dataset.files import load_grasps
         from xdex_drake.errors import ConfigError
 
         stored = load_grasps(self.file)
+        if not stored:
+            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
         if not 0 <= self.row < len(stored):
             raise ConfigError(f"--row {self.row}: {self.file} holds {len(stored)} grasps, counted from 0")
-        chosen = stored[self.row]
-        write_replays(self.html, [chosen.grasp], chosen.hand, chosen.scene)
-        lift = chosen.grasp.lift
-        verdict = "not lifted yet" if lift is None else "lifted" if lift.success else lift.failure_reason
-        row = (chosen.grasp.grasp_id, chosen.hand.name, chosen.scene.object.name, verdict, str(self.html))
-        print(table([row], ("grasp", "hand", "object", "lift", "page")))
+        chosen = stored[:MOST_SHOWN] if self.all else stored[self.row : self.row + 1]
+        grasps, hands, scenes = zip(*((item.grasp, item.hand, item.scene) for item in chosen), strict=True)
+        rows = [
+            (grasp.grasp_id, hand.name, scene.object.name, _verdict(grasp))
+            for grasp, hand, scene in zip(grasps, hands, scenes, strict=True)
+        ]
+        print(table(rows, ("grasp", "hand", "object", "lift")), flush=True)
+        from xdex_drake.visualization.replay import grasp_page, replay_lift, view_live
+
+        if self.html is None:
+            meshcat = view_live(grasps, hands, scenes, replay=not self.all)
+            return wait_for_enter(meshcat.web_url())
+        page = grasp_page(grasps, hands, scenes) if self.all else replay_lift(grasps[0], hands[0], scenes[0])
+        write_text(self.html, page)
+        print(f"written to {self.html}")
         return 0
+
+
+def _verdict(grasp: Grasp) -> str:
+    if grasp.lift is None:
+        return "not lifted yet"
+    return "lifted" if grasp.lift.success else grasp.lift.failure_reason
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class Solve:
         lines: list[tuple[str, object]] = [
             ("status", result.status if result.success else f"{result.status}: {result.worst} is violated most"),
             ("solver", f"{result.solver}, {1e3 * result.seconds:.0f} ms, {_iterations(result.iterations)}"),
-            ("starts tried", f"{solution.tried} of {problem.starts}; failed by {counts(solution.violated)}"),
+            ("starts tried", f"{solution.tried}; failed by {counts(solution.violated)}"),
         ]
         if grasp is None:
             lines.append(("grasp", f"none: {solution.reason}"))

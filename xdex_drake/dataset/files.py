@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from xdex_drake.dataset.schema import ObjectFacts, Row, grasp_from_row, pose_from_list, row_from_grasp
+from xdex_drake.dataset.schema import Array, Row, grasp_from_row, pose_from_list, row_from_grasp
 from xdex_drake.dataset.store import read_grasps, read_metadata, write_grasps
 from xdex_drake.errors import GraspFileError, XdexError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.hand.yaml_file import hand_digest
-from xdex_drake.scene.object import ObjectModel, load_object
+from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
@@ -41,32 +41,48 @@ class StoredGrasp:
     row: Row
 
 
-def object_facts(model: ObjectModel) -> ObjectFacts:
-    """What rows say about an object."""
-    path = model.name if model.path is None else str(model.path)
-    return ObjectFacts(
-        model.name, path, model.digest, model.scale, model.mass, model.friction, model.p_OOcm, model.length
-    )
-
-
-def rows_of(grasps: Iterable[Grasp], hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> list[Row]:
+def rows_of(
+    grasps: Iterable[Grasp],
+    hand: Hand,
+    scene: Scene,
+    *,
+    source_points: Mapping[str, Array] | None = None,
+    protocol: LiftProtocol = LIFT,
+) -> list[Row]:
     """Rows of grasps by one hand in one scene.
 
     Args:
         grasps: The grasps.
         hand: Their hand.
         scene: Their scene.
+        source_points: Object point, in O [m], of each source grasp by its identifier, for retargeted grasps.
         protocol: The protocol whose gains the squeeze targets are for.
 
     Returns:
         The rows, ready for `store.write_grasps`.
     """
-    digest, facts = hand_digest(hand), object_facts(scene.object)
+    from xdex_drake.dataset.generation import grasp_object_point, object_facts
+
+    path = scene.object.name if scene.object.path is None else str(scene.object.path)
+    digest, facts = hand_digest(hand), object_facts(scene.object, path)
     gains = (protocol.plant.kp, protocol.plant.kd)
-    return [
-        row_from_grasp(grasp, scene_id=scene.scene_id, hand=hand, hand_digest=digest, object=facts, gains=gains)
-        for grasp in grasps
-    ]
+    rows = []
+    for grasp in grasps:
+        point = grasp_object_point(hand, grasp, scene)
+        source = (source_points or {}).get(grasp.source_grasp_id) if grasp.source_grasp_id else point
+        rows.append(
+            row_from_grasp(
+                grasp,
+                scene_id=scene.scene_id,
+                hand=hand,
+                hand_digest=digest,
+                object=facts,
+                gains=gains,
+                object_point_O=point,
+                source_object_point_O=source,
+            )
+        )
+    return rows
 
 
 def save_grasps(

@@ -85,8 +85,7 @@ class BatchResult:
         tried: Candidates polished.
         rejected: How often each reason rejected a candidate.
         preparation_s: Time of building hand, object, scene and rig, in the process that did it [s].
-        search_s: Time of the search [s].
-        seconds: Time of the whole batch without preparation [s].
+        seconds: Time of the batch without preparation [s].
     """
 
     batch: int
@@ -94,7 +93,6 @@ class BatchResult:
     tried: int
     rejected: dict[str, int]
     preparation_s: float
-    search_s: float
     seconds: float
 
 
@@ -166,46 +164,25 @@ def run_batch(unit: BatchUnit) -> BatchResult:
     """
     import torch
 
-    from xdex_drake.dataset.synthesis import SynthesisSettings, polish
-    from xdex_drake.programs.force_closure import program_of_candidate
-    from xdex_drake.programs.search import search
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, batch_seed, candidates_of_batch, lift_all
 
     torch.set_num_threads(1)
     request, begin = unit.request, time.perf_counter()
-    fresh = _bench.cache_info().misses
+    known = _bench.cache_info().misses
     hand, scene, rig = _bench(request)
     prepared = time.perf_counter()
     settings = SynthesisSettings(solver=request.solver)
-    found = search(hand, scene, count=settings.batch, seed=_mix(request.seed, unit.batch), settings=settings.search)
-    searched = time.perf_counter()
-    rows = max(1, round(settings.keep * len(found.energy)))
-    share = (searched - prepared) / rows
+    tally = Tally()
+    found = candidates_of_batch(hand, scene, seed=batch_seed(request.seed, unit.batch), settings=settings, tally=tally)
     grasps: list[Grasp] = []
-    rejected: dict[str, int] = {}
-    tried = lifted = 0
-    for row in range(rows):
-        if lifted >= unit.quota or time.time() > unit.deadline:
+    for grasp in lift_all(rig, found, tally):
+        name = f"{hand.name}-{scene.scene_id}-{request.seed}-{unit.batch}-{grasp.grasp_id}"
+        grasps.append(replace(grasp, grasp_id=name))
+        if tally.lifted >= unit.quota or time.time() > unit.deadline:
             break
-        tried += 1
-        outcome = polish(program_of_candidate(hand, scene, found, row, settings=settings.polish), settings)
-        if outcome.grasp is None:
-            rejected[outcome.reason] = rejected.get(outcome.reason, 0) + 1
-            continue
-        lift = simulate_lift(rig, outcome.grasp)
-        lifted += lift.success
-        name = f"{hand.name}-{scene.scene_id}-{request.seed}-{unit.batch}-{row}"
-        grasps.append(replace(outcome.grasp, grasp_id=name, lift=lift, seconds=outcome.grasp.seconds + share))
-    took_preparation = prepared - begin if _bench.cache_info().misses > fresh else 0.0
+    preparation_s = prepared - begin if _bench.cache_info().misses > known else 0.0
     seconds = time.perf_counter() - prepared
-    return BatchResult(unit.batch, tuple(grasps), tried, rejected, took_preparation, searched - prepared, seconds)
-
-
-def _mix(seed: int, batch: int) -> int:
-    """A seed for each batch, the same in every process."""
-    import numpy as np
-
-    return int(np.random.SeedSequence([seed, batch]).generate_state(1)[0])
+    return BatchResult(unit.batch, tuple(grasps), tally.tried, tally.rejected, preparation_s, seconds)
 
 
 def synthesize_batches(

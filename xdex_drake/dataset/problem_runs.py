@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from pydrake.math import RigidTransform
+
 from xdex_drake.dataset.synthesis import finish_grasp
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.programs.link_pose_ik import link_pose_ik_program
 from xdex_drake.programs.problems import Problem, force_closure_programs, load_problem, problem_scene
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import retargeting_program
@@ -60,10 +65,10 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
     """
     problem = problem if isinstance(problem, Problem) else load_problem(problem)
     hand, scene = problem_scene(problem)
-    if problem.program == "retargeting":
-        programs = iter([_retargeting(problem, hand, scene)])
-    else:
+    if problem.program == "force_closure":
         programs = force_closure_programs(problem, hand, scene)
+    else:
+        programs = iter([_program_from_source(problem, hand, scene)])
     attempts: list[tuple[GraspProgram, ProgramResult]] = []
     grasp, reason = None, ""
     for program in programs:
@@ -87,8 +92,8 @@ def _badness(result: ProgramResult) -> float:
     return max(result.violations.values(), default=0.0) if result.worst else 0.0
 
 
-def _retargeting(problem: Problem, hand: Hand, scene: Scene) -> GraspProgram:
-    """The program of a retargeting problem, from the solution of its source."""
+def _program_from_source(problem: Problem, hand: Hand, scene: Scene) -> GraspProgram:
+    """The program of a problem that starts from the solution of another."""
     assert problem.source is not None
     beside = problem.path.parent / problem.source
     source = solve_problem(load_problem(beside if beside.suffix else problem.source))
@@ -96,4 +101,12 @@ def _retargeting(problem: Problem, hand: Hand, scene: Scene) -> GraspProgram:
         raise ProblemFileError(
             f"{problem.path}: source {problem.source} has no solution ({source.reason}); mend it first"
         )
-    return retargeting_program(source.grasp, source.hand, hand, scene, settings=problem.polish)
+    if problem.program == "retargeting":
+        return retargeting_program(source.grasp, source.hand, hand, scene, settings=problem.polish)
+    if source.hand.name != hand.name:
+        raise ProblemFileError(f"{problem.path}: source {problem.source} has another hand; link poses need the same")
+    R_WLs, p_WLs = forward_kinematics(hand, source.grasp.X_WH, source.grasp.q)
+    R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
+    noise = problem.jitter * np.random.default_rng(problem.seed).standard_normal(p_WLs.shape)
+    R = R_WLs @ np.swapaxes(R_HLs, 1, 2)
+    return link_pose_ik_program(hand, scene, R, p_WLs + noise, settings=problem.polish)

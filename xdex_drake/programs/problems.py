@@ -107,7 +107,9 @@ class Problem:
         hand: Library name, or path of a hand file, relative to the problem file.
         object: The object.
         program: Which program.
-        source: Name or path of the problem whose solution is retargeted; for `retargeting` only.
+        source: Name or path of the problem whose solution gives the keypoints of `retargeting`, or the link poses of
+            `link_pose_ik`; for these two only.
+        jitter: Standard deviation of noise on the link poses of `link_pose_ik`, as a model's predictions have [m].
         scene_seed: Choice of the object's stable pose.
         solver: Solver of the program.
         seed: Seed of the search.
@@ -122,8 +124,9 @@ class Problem:
     title: str
     hand: str
     object: ObjectSpec
-    program: Literal["force_closure", "retargeting"] = "force_closure"
+    program: Literal["force_closure", "retargeting", "link_pose_ik"] = "force_closure"
     source: str | None = None
+    jitter: float = 0.005
     scene_seed: int = 0
     solver: Literal["sequential", "snopt", "ipopt", "nlopt"] = "sequential"
     seed: int = 0
@@ -146,13 +149,11 @@ class Problem:
         for name in ("seed", "scene_seed"):
             if getattr(self, name) < 0:
                 raise ProblemFileError(f"{name} is {getattr(self, name)}; give 0 or more")
-        if (self.program == "retargeting") != (self.source is not None):
-            need = (
-                "lacks source; name the problem"
-                if self.source is None
-                else "has a source, which only retargeting takes"
-            )
+        if (self.program == "force_closure") != (self.source is None):
+            need = "needs a source; name its problem" if self.source is None else "takes no source; leave it out"
             raise ProblemFileError(f"program {self.program} {need}")
+        if self.jitter < 0.0:
+            raise ProblemFileError(f"jitter is {self.jitter}; give 0 or more")
 
     @property
     def name(self) -> str:
