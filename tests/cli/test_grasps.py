@@ -1,12 +1,15 @@
 """Grasps by the command line: made, stored, lifted again, exported, retargeted."""
 
 import json
+import signal
+import subprocess
+import sys
 
 import pytest
 
 from xdex_drake.cli import main
 from xdex_drake.dataset.files import load_grasps
-from xdex_drake.dataset.parallel import GraspRequest, RequestTally, synthesize_batches
+from xdex_drake.dataset.parallel import BatchResult, GraspRequest, RequestTally, synthesize_batches
 from xdex_drake.dataset.store import read_grasps, write_grasps
 
 
@@ -71,6 +74,68 @@ def test_nothing_found_is_status_1(tmp_path, capsys):
     words = ["grasp", "--hand", "allegro", "--object", "can", "--friction", "0.01", "--time-limit", "3"]
     assert main([*words, "--workers", "1", "--out", str(out)]) == 1
     assert not out.exists() and "rejected by" in capsys.readouterr().out
+
+
+def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):
+    finished = tuple(item.grasp for item in load_grasps(grasps))
+
+    def interrupted(request, *, count, workers, time_limit_s, tally):
+        result = BatchResult(0, finished[:1], 5, {"cone": 4}, 0.0, 1.0)
+        tally.add(result)
+        yield result
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("xdex_drake.dataset.parallel.synthesize_batches", interrupted)
+    out = tmp_path / "kept.parquet"
+    assert main(["grasp", "--hand", "allegro", "--object", "can", "--out", str(out)]) == 130
+    assert [row["grasp_id"] for row in read_grasps(out)] == [finished[0].grasp_id]
+    assert "cone 4" in capsys.readouterr().out
+
+
+def test_ctrl_c_before_anything_is_finished_leaves_nothing(tmp_path):
+    words = ["grasp", "--hand", "allegro", "--object", "can", "--count", "40", "--out", str(tmp_path / "g.parquet")]
+    command = [sys.executable, "-m", "xdex_drake", *words]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    said = process.stderr.read(20)  # the progress bar: work has begun
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in said + err and "nothing" in out
+    assert not list(tmp_path.iterdir())
+
+
+def test_view_writes_pages(grasps, tmp_path):
+    for name, words in (("one", ["--row", "1"]), ("all", ["--all"])):
+        page = tmp_path / f"{name}.html"
+        assert main(["view", str(grasps), *words, "--html", str(page)]) == 0
+        assert "<html" in page.read_text()[:2000].lower()
+    assert main(["view", str(grasps), "--row", "2"]) == 2
+
+
+@pytest.mark.slow
+def test_quick_demo(tmp_path, capsys):
+    assert main(["demo", "--quick", "--workers", "1", "--out", str(tmp_path / "report")]) == 0
+    assert "<html" in (tmp_path / "report" / "index.html").read_text()[:2000].lower()
+    assert read_grasps(tmp_path / "report" / "grasps.parquet")
+
+
+@pytest.mark.slow
+def test_a_data_set_resumes_and_verifies(tmp_path, capsys):
+    config, out = tmp_path / "pairs.yaml", tmp_path / "pairs"
+    config.write_text(
+        "hands: [allegro, shadow]\nsource_hands: [allegro]\nobjects: [can, box]\ncandidates: 12\nsources_per_unit: 2\n"
+    )
+    words = ["dataset", "generate", str(config), "--out", str(out), "--workers", "1"]
+    assert main(words) == 0
+    before = {path.name: path.read_bytes() for path in (out / "shards").iterdir()}
+    (out / "shards" / sorted(before)[0]).unlink()
+    assert main(words) == 0
+    assert {path.name: path.read_bytes() for path in (out / "shards").iterdir()} == before
+    assert main(["dataset", "verify", str(out)]) == 0
+    assert "certificates checked" in capsys.readouterr().out
+    config.write_text(config.read_text() + "seed: 1\n")
+    assert main(words) == 2
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,14 +40,21 @@ def facts(pairs: Sequence[tuple[str, object]]) -> str:
     return "\n".join(f"{name:<{width}}{_text(value)}" for name, value in pairs)
 
 
-def counts(reasons: dict[str, int]) -> str:
+def counts(reasons: Mapping[str, int]) -> str:
     """How often each reason came up, the most frequent first."""
-    ordered = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    short: dict[str, int] = {}
+    for reason, count in reasons.items():
+        # What follows a second colon explains.
+        name = ":".join(reason.split(":")[:2])
+        short[name] = short.get(name, 0) + count
+    ordered = sorted(short.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{name} {count}" for name, count in ordered) or "-"
 
 
 def progress(total: int | None, what: str) -> tqdm:
-    """A progress bar on standard error; silent where that is no terminal and the work is short."""
+    """A progress bar on standard error."""
+    # Without a thread of its own: a signal that it received would interrupt the start of a worker half-way.
+    tqdm.monitor_interval = 0
     return tqdm(total=total, desc=what, dynamic_ncols=True, smoothing=0.1, mininterval=0.2)
 
 
