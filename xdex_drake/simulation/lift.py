@@ -130,7 +130,8 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
         Verdict, with the first failure reason of `FAILURE_REASONS` that matches where it failed.
     """
     protocol, bench, simulator = rig.protocol, rig.bench, rig.simulator
-    start = time.perf_counter()
+    # The limit is on time of the processor, so that a busy machine does not change a verdict.
+    start, cpu_start = time.perf_counter(), time.process_time()
     context = simulator.get_mutable_context()
     bench.diagram.SetDefaultContext(context)
     context.SetTime(0.0)
@@ -180,7 +181,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
             command(t + step)
             simulator.AdvanceTo((k + 1) * step)
             if k % 20 == 0:
-                if time.perf_counter() - start > protocol.wall_limit_s:
+                if time.process_time() - cpu_start > protocol.cpu_limit_s:
                     return result("timeout", center_height() - z0, ())
                 if t <= squeezed_at:
                     hit_table = hit_table or bool(_touching(bench, plant_context).table_links)

@@ -21,7 +21,7 @@ class LiftProtocol:
         rise_m: Height by which the wrist rises [m].
         success_m: Least rise of the object's center of mass [m].
         fingertips: Least number of fingertips that touch the object at the end.
-        wall_limit_s: Wall time after which a lift is given up [s].
+        cpu_limit_s: Processor time after which a lift is given up [s].
     """
 
     name: str = "lift-0.2/2tips"
@@ -33,7 +33,7 @@ class LiftProtocol:
     rise_m: float = 0.25
     success_m: float = 0.2
     fingertips: int = 2
-    wall_limit_s: float = 20.0
+    cpu_limit_s: float = 20.0
 
     @property
     def duration_s(self) -> float:

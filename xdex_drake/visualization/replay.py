@@ -45,7 +45,7 @@ FOV_Y = 0.7
 ASPECT = 1.3
 """Least width of a window divided by its height that keeps this field of view."""
 
-REPLAY_WALL_LIMIT_S = 300.0
+REPLAY_CPU_LIMIT_S = 300.0
 """A recorded lift is never given up where the lift itself was not [s]."""
 
 CONE_COLOR = (0.20, 0.48, 0.95, 1.0)
@@ -121,7 +121,7 @@ def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: 
             builder, scene_graph, meshcat, MeshcatVisualizerParams(publish_period=period, prefix="scene")
         )
 
-    patient = replace(protocol, wall_limit_s=max(protocol.wall_limit_s, REPLAY_WALL_LIMIT_S))
+    patient = replace(protocol, cpu_limit_s=max(protocol.cpu_limit_s, REPLAY_CPU_LIMIT_S))
     rig = lift_rig(hand, scene, protocol=patient, extend=extend)
     plant, context = rig.bench.plant, rig.simulator.get_context()
     plant_context = plant.GetMyContextFromRoot(context)
