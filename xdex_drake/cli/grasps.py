@@ -92,7 +92,8 @@ class GraspCommand:
         tally = RequestTally()
         kept: list[Grasp] = []
         lifted = 0
-        workers = 0 if self.workers == 1 else self.workers
+        # One or two grasps are there before another process would have begun.
+        workers = 0 if self.workers == 1 or self.count <= 2 else self.workers
         with keeping_finished_work() as interruption, progress(self.count, f"{hand.name} {model.name}") as bar:
             batches = synthesize_batches(
                 request, count=self.count, workers=workers, time_limit_s=self.time_limit, tally=tally

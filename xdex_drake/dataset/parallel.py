@@ -29,6 +29,9 @@ Value = TypeVar("Value")
 
 _log = logging.getLogger(__name__)
 
+QUOTA = 10
+"""Lifted grasps after which a batch is left: a smaller number loses less at Ctrl-C, a greater one searches less."""
+
 PATIENCE = 3
 """Batches in a row that may crash or run out of time before a run is given up."""
 
@@ -195,8 +198,8 @@ def synthesize_batches(
 ) -> Iterator[BatchResult]:
     """Batches of grasps until enough have lifted.
 
-    Every batch aims at half of `count`, so that two workers share even a small request; the results are the same for
-    any number of workers unless time runs out.
+    Every batch aims at half of `count`, at most `QUOTA`, so that two workers share even a small request; the results
+    are the same for any number of workers unless time runs out.
 
     Args:
         request: Hand, object, scene, seed.
@@ -213,7 +216,7 @@ def synthesize_batches(
     """
     tally = tally if tally is not None else RequestTally()
     begin = time.perf_counter()
-    quota, deadline = max(1, math.ceil(count / 2)), time.time() + time_limit_s
+    quota, deadline = max(1, min(math.ceil(count / 2), QUOTA)), time.time() + time_limit_s
     units = (BatchUnit(request, batch, quota, deadline) for batch in count_from())
     waiting: dict[int, UnitResult[BatchUnit, BatchResult]] = {}
     results = run_units(units, run_batch, workers=workers, timeout_s=max(60.0, 2.0 * time_limit_s))
