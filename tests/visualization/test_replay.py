@@ -1,6 +1,7 @@
 import base64
 import os
 import re
+import struct
 import sys
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import pytest
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.simulation.lift import lift_rig, simulate_lift
-from xdex_drake.visualization.replay import grasp_page, record_lift, replay_lift, view_live
+from xdex_drake.visualization.replay import PAUSE_FRAMES, grasp_page, record_lift, replay_lift, view_live
 
 
 def commands(page):
@@ -16,10 +17,39 @@ def commands(page):
     return [base64.b64decode(text) for text in re.findall(r'base64,([A-Za-z0-9+/=]+)"\)', page)]
 
 
+def unpack(data, at=0):
+    """The value that starts at a place of MessagePack data, and the place after it."""
+    byte = data[at]
+    if byte <= 0x7F:
+        return byte, at + 1
+    if byte >= 0xE0:
+        return byte - 256, at + 1
+    if byte in (0xC0, 0xC2, 0xC3):
+        return {0xC0: None, 0xC2: False, 0xC3: True}[byte], at + 1
+    numbers = {0xCA: ">f", 0xCB: ">d", 0xCC: ">B", 0xCD: ">H", 0xCE: ">I", 0xCF: ">Q"}
+    numbers |= {0xD0: ">b", 0xD1: ">h", 0xD2: ">i", 0xD3: ">q"}
+    if byte in numbers:
+        return struct.unpack_from(numbers[byte], data, at + 1)[0], at + 1 + struct.calcsize(numbers[byte])
+    lengths = {0xD9: ">B", 0xDA: ">H", 0xDC: ">H", 0xDD: ">I", 0xDE: ">H", 0xDF: ">I"}
+    if byte in lengths:
+        n, start = struct.unpack_from(lengths[byte], data, at + 1)[0], at + 1 + struct.calcsize(lengths[byte])
+        kind = "text" if byte < 0xDC else "list" if byte < 0xDE else "map"
+    else:
+        n, start = byte & (0x1F if byte >= 0xA0 else 0x0F), at + 1
+        kind = "text" if byte >= 0xA0 else "list" if byte >= 0x90 else "map"
+    if kind == "text":
+        return data[start : start + n].decode(), start + n
+    items = []
+    for _ in range(n * (2 if kind == "map" else 1)):
+        item, start = unpack(data, start)
+        items.append(item)
+    return (dict(zip(items[::2], items[1::2], strict=True)) if kind == "map" else items), start
+
+
 def animation_of(page):
     found = [command for command in commands(page) if b"set_animation" in command[:60]]
     assert len(found) == 1
-    return found[0]
+    return unpack(found[0])[0]
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +71,22 @@ def test_replay_holds_every_frame(replay, hand):
     # The lift is given up once the object stays behind, well after closing and squeezing.
     assert 30 <= replay.frames <= 60
     animation = animation_of(replay.html)
+    paths = [entry["path"] for entry in animation["animations"]]
+    assert len(set(paths)) == len(paths)  # two tracks of one body would show the mean of both
     for link in hand.links:
-        assert link.name.encode() in animation
-    # Positions and quaternions of each link, at each frame.
-    assert animation.count(b"\xa4time") >= 2 * replay.frames * len(hand.links)
+        assert f"/drake/scene/allegro/{link.name}" in paths
+    for entry in animation["animations"]:
+        for track in entry["clip"]["tracks"]:
+            times = [key["time"] for key in track["keys"]]
+            assert times == sorted(times)
+            # All end together, after the pause: otherwise the loop falls out of step.
+            if "drake/scene" in entry["path"]:
+                assert times[0] == 0
+                assert times == [*range(replay.frames), replay.frames - 1 + PAUSE_FRAMES]
+            assert entry["clip"]["tracks"] and max(times) <= replay.frames - 1 + PAUSE_FRAMES
+        assert max(k["time"] for t in entry["clip"]["tracks"] for k in t["keys"]) == replay.frames - 1 + PAUSE_FRAMES
+    assert animation["options"]["play"]
+    assert animation["options"]["repetitions"] > 100
     assert 1e6 < len(replay.html) < 6e6
 
 
@@ -67,7 +109,9 @@ def test_lift_that_fails_before_it_starts_is_shown(grasp, hand, scene):
     replay = record_lift(replace(grasp, X_WH=sunk, X_WH_pregrasp=sunk), hand, scene)
     assert replay.lift.failure_reason == "table_collision"
     assert replay.frames == 1
-    assert b"link_0" in animation_of(replay.html)
+    assert f"/drake/scene/allegro/{hand.links[-1].name}" in [
+        entry["path"] for entry in animation_of(replay.html)["animations"]
+    ]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts threads by /proc")

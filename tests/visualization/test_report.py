@@ -74,7 +74,7 @@ def test_report_is_well_formed_and_says_what_happened(tmp_path, sections):
         "0.25 m",
         "not grasped 3",
         "24.8 cm",
-        "0.125 to 0.126",
+        "0.1250 to 0.1260",
         "0.25 mm",
     ):
         assert words in text, words

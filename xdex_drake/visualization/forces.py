@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context
 
 from xdex_drake.hand.description import Array
 
-NEWTONS_PER_METER = 25.0
+NEWTONS_PER_METER = 50.0
 """Force that an arrow of one metre stands for [N/m]."""
 
 FORCE_COLOR = (0.85, 0.10, 0.35)

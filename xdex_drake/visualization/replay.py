@@ -35,7 +35,9 @@ from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 from xdex_drake.visualization.forces import FORCE_COLOR, HandForces, add_arrow, place_arrow
 from xdex_drake.visualization.views import best_direction, best_view
 
-FRAMES_PER_SECOND = 30.0
+FRAMES_PER_SECOND = 32.0
+"""A power of two, whose multiples of the period are exact: no frame is rounded into its neighbour's place."""
+
 PAUSE_FRAMES = 20
 """Frames for which the end of a lift stands still before it starts again."""
 
@@ -47,6 +49,9 @@ ASPECT = 1.3
 
 REPLAY_CPU_LIMIT_S = 300.0
 """A recorded lift is never given up where the lift itself was not [s]."""
+
+REPETITIONS = 10_000
+"""How often a page plays its lift by itself."""
 
 CONE_COLOR = (0.20, 0.48, 0.95, 1.0)
 CONE_HEIGHT = 0.02
@@ -141,19 +146,22 @@ def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: 
     rig.simulator.set_monitor(monitor)
     lift = simulate_lift(rig, grasp)
     rig.simulator.clear_monitor()
-    if context.get_time() == 0.0:
-        # Failed before the first step: one frame shows why.
+    # The end, which no periodic event sees: where the lift fails before its first step it is the only frame.
+    sound = lift.failure_reason != "simulation_failed"
+    if sound:
         rig.bench.diagram.ForcedPublish(context)
     meshcat.StopRecording()
     animation = meshcat.get_mutable_recording()
     last = int(animation.frame(context.get_time()))
-    for body in [*rig.bench.links, rig.bench.object_body]:
+    for body in [*rig.bench.links, rig.bench.object_body] if sound else []:
         assert body is not None
-        path = f"/drake/scene/{plant.GetModelInstanceName(body.model_instance())}/{body.name()}"
+        # The path as the visualizer spells it: an absolute one would make a second track of the same body.
+        path = f"scene/{plant.GetModelInstanceName(body.model_instance())}/{body.name()}"
         animation.SetTransform(last + PAUSE_FRAMES, path, plant.EvalBodyPoseInWorld(plant_context, body))
     forces.hold(animation, last + PAUSE_FRAMES)
     animation.set_autoplay(True)
     animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+    animation.set_repetitions(REPETITIONS)
     meshcat.PublishRecording()
     return lift, last + 1
 
@@ -375,7 +383,7 @@ def view_live(
 def _lift_card(grasp: Grasp, hand: Hand, lift: Lift) -> tuple[str, str, list[tuple[str, str]]]:
     """Title, verdict class and lines of the card of a lift."""
     verdict = "lifted" if lift.success else "not lifted"
-    rows = [("object", grasp.object), ("rise", f"{100.0 * lift.lift_height_m:.1f} cm")]
+    rows = [("object", grasp.object), ("rise", f"{round(100.0 * lift.lift_height_m, 1) + 0.0:.1f} cm")]
     if lift.failure_reason:
         rows.append(("reason", lift.failure_reason.replace("_", " ")))
     rows.append(("fingertips", ", ".join(lift.fingertips) or "none"))

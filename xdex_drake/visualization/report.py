@@ -286,7 +286,10 @@ def _figures(grasp: Grasp) -> list[tuple[str, str]]:
     figures: list[tuple[str, str]] = []
     if grasp.lift is not None:
         tips = ", ".join(grasp.lift.fingertips) or "none"
-        figures += [("rise", _number(100.0 * grasp.lift.lift_height_m, ".1f", " cm")), ("fingertips", tips)]
+        figures += [
+            ("rise", _number(round(100.0 * grasp.lift.lift_height_m, 1) + 0.0, ".1f", " cm")),
+            ("fingertips", tips),
+        ]
     if (certificate := grasp.certificate) is not None:
         figures += [
             ("contacts", str(len(certificate.contacts))),
@@ -294,12 +297,12 @@ def _figures(grasp: Grasp) -> list[tuple[str, str]]:
             ("task margin", _number(certificate.task_margin, ".2f")),
             (
                 "ball margin",
-                f"{_number(certificate.margin_lower, '.3f')} to {_number(certificate.margin_upper, '.3f')}",
+                f"{_number(certificate.margin_lower, '.4f')} to {_number(certificate.margin_upper, '.4f')}",
             ),
         ]
     if math.isfinite(grasp.penetration_parts_m):
         parts, mesh = 1e3 * grasp.penetration_parts_m, 1e3 * grasp.penetration_mesh_m
-        figures.append(("penetration", f"{_number(parts, '.2f')} mm (mesh {_number(mesh, '.2f')})"))
+        figures.append(("penetration", f"{_number(parts, '.2f')} mm, mesh {_number(mesh, '.2f')} mm"))
     if grasp.source_grasp_id:
         figures.append(("retargeted from", grasp.source_grasp_id))
     if grasp.seconds > 0.0:
@@ -344,7 +347,7 @@ def _protocol_text(protocol: LiftProtocol) -> str:
         f"{p.squeeze_s:g} s, rises {p.rise_m:g} m in {p.rise_s:g} s and holds for {p.hold_s:g} s. A lift succeeds "
         f"where the object's center of mass has risen at least {p.success_m:g} m and at least {p.fingertips} "
         f"fingertips touch it at the end. Simulated by Drake in steps of {1e3 * plant.time_step:g} ms with friction "
-        f"{plant.friction:g}, point contact of {plant.point_stiffness:g} N/m, and joints driven with "
+        f"{plant.friction:g}, point contact of {plant.point_stiffness:,.0f} N/m, and joints driven with "
         f"{plant.kp:g} N m/rad and {plant.kd:g} N m s/rad within their effort limits."
     )
 
