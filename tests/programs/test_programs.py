@@ -55,9 +55,7 @@ def test_jacobians_of_all_blocks_agree_with_differences(allegro, can_scene, foun
             limit = 5e-2 if loose else 1e-2 if block.name == "wrench" else 1e-5
             assert np.mean(error <= limit) > 0.8, block.name
     for cost in program.costs:
-        numeric = [
-            (cost.value(point.moved(d)) - cost.value(point.moved(-d))) / (2 * h) for d in h * np.eye(point.size)
-        ]
+        numeric = [(cost.value(point.moved(d)) - cost.value(point.moved(-d))) / (2 * h) for d in h * np.eye(point.size)]
         assert np.abs(cost.gradient(point) - numeric).max() < 1e-5 * max(1.0, np.abs(numeric).max())
 
 
@@ -130,9 +128,7 @@ def test_link_poses_to_configuration_and_back(name):
     qs = rng.uniform(hand.limits[0], hand.limits[1], size=(B, len(hand.q_rest)))
     Xs = [RigidTransform(RollPitchYaw(rng.uniform(-3, 3, 3)), 0.2 * rng.normal(size=3)) for _ in range(B)]
     poses = [forward_kinematics(hand, X, q) for X, q in zip(Xs, qs, strict=True)]
-    found = link_pose_ik(
-        hand, np.array([R @ np.swapaxes(R0, 1, 2) for R, _ in poses]), np.array([p for _, p in poses])
-    )
+    found = link_pose_ik(hand, np.array([R @ np.swapaxes(R0, 1, 2) for R, _ in poses]), np.array([p for _, p in poses]))
     assert found.errors.max() < 1e-6
     assert np.abs(found.qs - qs).max() < 1e-4
 

@@ -1,7 +1,7 @@
 """Generates a paired data set: source grasps of each hand on each scene, carried to the other hands, all lifted.
 
-The unit of work is one source hand on one scene. A unit depends on the configuration and its own name only, so the rows are the same for any
-number of workers, and a run that was killed goes on with the units that are missing.
+The unit of work is one source hand on one scene. A unit depends on the configuration and its own name only, so the rows
+are the same for any number of workers, and a run that was killed goes on with the units that are missing.
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Evaluation: the metrics of the paper and of the field."""

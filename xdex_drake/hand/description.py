@@ -232,7 +232,7 @@ class Hand:
 
     @cached_property
     def coupling_offset(self) -> Array:
-        """c of q_full = C q + c [rad or m], shape (n_joints,)."""
+        """The offset c of q_full = C q + c [rad or m], shape (n_joints,)."""
         return np.array([0.0 if joint.coupling is None else joint.coupling.offset for joint in self.joints])
 
     @cached_property

@@ -1,12 +1,12 @@
 """Kinematics of a hand: tree data, one configuration in NumPy, many configurations in torch.
 
-A configuration is (X_WH, q). Its tangent is (w_WH, v_WH, qdot), of dimension 6 + n: angular velocity of the wrist frame, velocity
-of its origin, both in W, then the rates of the actuated joints. A point fixed to link L moves with
+A configuration is (X_WH, q). Its tangent is (w_WH, v_WH, qdot), of dimension 6 + n: angular velocity of the wrist
+frame, velocity of its origin, both in W, then the rates of the actuated joints. A point fixed to link L moves with
 
     v_WP = v_WH + w_WH x (p_WP - p_WHo) + sum over the joints j above L of axis_j x (p_WP - p_Wj) qdot_full_j,
 
-and the adjoint of that map turns gradients with respect to points into gradients with respect to the configuration. Both are
-written once here, from the same tree, for NumPy (`Configuration`) and for torch (`BatchedHand`).
+and the adjoint of that map turns gradients with respect to points into gradients with respect to the configuration.
+Both are written once here, from the same tree, for NumPy (`Configuration`) and for torch (`BatchedHand`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def rotation_about(axis: Array, angle: float) -> Array:
 
 
 def skew(v: Array) -> Array:
-    """Cross-product matrices: skew(v) @ u = v x u.
+    """Cross-product matrices S with S u = v x u.
 
     Args:
         v: Vectors, shape (..., 3).
@@ -204,8 +204,8 @@ class LinkPoses:
 class BatchedHand:
     """A hand's tree as tensors, for many configurations at once, on any device.
 
-    Links of one depth are computed together, so a forward pass costs a few operations for each level of the tree and not for each
-    joint.
+    Links of one depth are computed together, so a forward pass costs a few operations for each level of the tree and
+    not for each joint.
     """
 
     def __init__(self, hand: Hand, *, dtype: torch.dtype | None = None, device: str = "cpu") -> None:

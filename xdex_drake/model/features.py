@@ -8,8 +8,8 @@ from pydrake.math import RigidTransform
 from scipy.spatial import ConvexHull
 
 from xdex_drake.hand.description import Array, Box, Capsule, Geometry, Hand, Link, Sphere
-from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.heading import heading, object_point
+from xdex_drake.hand.kinematics import forward_kinematics
 
 __all__ = [
     "FEATURE_SCHEMA",

@@ -109,7 +109,5 @@ def propose(
         outcome = polish(program, settings)
         if outcome.grasp is not None:
             name = f"{hand.name}-{scene.object.name}-predicted-{seed}-{k}"
-            outcome = Outcome(
-                replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share), ""
-            )
+            outcome = Outcome(replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share), "")
         yield outcome

@@ -35,7 +35,8 @@ class Block:
         upper: Upper bounds, shape (m,).
         unit: Unit of the rows, for tables.
         meaning: One line for tables.
-        inner: Rows g >= 0 that imply this block and that a linearisation sees better, for the sequential solver; None where
+        inner: Rows g >= 0 that imply this block and that a linearisation sees better, for the sequential solver; None
+            where
             `evaluate` serves.
     """
 

@@ -66,7 +66,9 @@ def contact_set(hand: Hand, scene: Scene, k: Configuration, fingers: NDArray[np.
         spheres.append(int(best))
         links.append(link)
         chosen.append(int(f))
-    return ContactSet(np.array(spheres, dtype=np.int64), np.array(links, dtype=np.int64), np.array(chosen, dtype=np.int64))
+    return ContactSet(
+        np.array(spheres, dtype=np.int64), np.array(links, dtype=np.int64), np.array(chosen, dtype=np.int64)
+    )
 
 
 def _to_object(scene: Scene, p_WPs: Array) -> Array:

@@ -1,8 +1,9 @@
-"""Inverse kinematics of many poses at once: points of links to targets, by damped Gauss-Newton (Eq. 6, and the keypoints of Eq. 2).
+"""Inverse kinematics of many poses at once: points of links to targets, for Eq. (6) and the keypoints of Eq. (2).
 
-A 9-D link pose (position, first two columns of R_WL R_HL(0)^T) is the same as three points of the link: its origin, and two points one
-`ARM` along the wrist frame's x and y axes as they stand in the link at the zero configuration. Least squares on link poses is therefore least
-squares on points, and keypoints, link poses and mixtures of both are one problem.
+A 9-D link pose (position, first two columns of R_WL R_HL(0)^T) is the same as three points of the link: its origin, and
+two points one `ARM` along the wrist frame's x and y axes as they stand in the link at the zero configuration. Least
+squares on link poses is therefore least squares on points, and keypoints, link poses and mixtures of both are one
+problem.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ def solve_points(
 ) -> IkResult:
     """Least squares on points within joint limits and couplings, for a batch of poses.
 
-    Levenberg-Marquardt on the tangent of (X_WH, q), each pose with its own damping; joints that would leave their limits are held there.
+    Levenberg-Marquardt on the tangent of (X_WH, q), each pose with its own damping; joints that would leave their
+    limits are held there.
 
     Args:
         hand: The hand.
@@ -166,19 +168,20 @@ def solve_points(
             held = ((q <= low + 1e-12) & (g[:, 6:] > 0.0)) | ((q >= high - 1e-12) & (g[:, 6:] < 0.0))
             free = torch.cat([torch.ones((B, 6), dtype=torch.bool, device=device), ~held], dim=1).to(H.dtype)
             H = H * free[:, :, None] * free[:, None, :]
-            diagonal = damping * torch.cat([torch.full((B, 3), ARM**2), torch.ones((B, 3)), torch.full((B, n), ARM**2)], 1).to(H)
-            step = -torch.linalg.solve(H + torch.diag_embed(diagonal + regular + 1e-12 + (1.0 - free)), g * free)
+            lengths = torch.cat([torch.full((3,), ARM**2), torch.ones(3), torch.full((n,), ARM**2)]).to(H)
+            ridge = damping * lengths + regular + 1e-12 + (1.0 - free)
+            step = -torch.linalg.solve(H + torch.diag_embed(ridge), g * free)
             R_new = rotation_step(R, step[:, :3])
             p_new = p + step[:, 3:6]
             q_new = torch.minimum(torch.maximum(q + step[:, 6:], low), high)
             new_cost, *_ = cost_of(R_new, p_new, q_new)
             better = new_cost < cost
             damping = torch.where(better[:, None], damping * 0.2, damping * 5.0).clamp(1e-9, 1e3)
-            cost = torch.where(better, new_cost, cost)
             R = torch.where(better[:, None, None], R_new, R)
             p = torch.where(better[:, None], p_new, p)
             q = torch.where(better[:, None], q_new, q)
             if float((step * better[:, None]).abs().max()) < 1e-7:
+                cost = torch.where(better, new_cost, cost)
                 break
             cost, poses, points, error = cost_of(R, p, q)
     errors = (cost / weights.sum()).sqrt()

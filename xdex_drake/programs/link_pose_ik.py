@@ -1,4 +1,4 @@
-"""Link-pose inverse kinematics, Eq. (6): a configuration for predicted link poses, then a grasp near it under hard constraints."""
+"""Link-pose inverse kinematics, Eq. (6): a configuration for predicted link poses, then a grasp near it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """One trial point of a grasp program: a configuration of the hand, contact forces, and what terms read from them.
 
-Everything is computed once for a point and in double precision: link poses, sphere centers, exact distances to the object, Jacobians with
-respect to the tangent. The tangent of a point is (w_WH, v_WH, qdot, df), of dimension 6 + n + 3 nc; forces are in W.
+Everything is computed once for a point and in double precision: link poses, sphere centers, exact distances to the
+object, Jacobians with respect to the tangent. The tangent of a point is (w_WH, v_WH, qdot, df), of dimension 6 + n + 3
+nc; forces are in W.
 """
 
 from __future__ import annotations
@@ -113,8 +114,9 @@ class Point:
     def _smooth_normals(self) -> tuple[Array, Array, Array]:
         """Distance [m], unit normal into the object and its derivative [1/m], by the grid, in W.
 
-        The exact normal of a triangulated surface jumps in its derivative from facet to facet; the grid's, taken a finger's radius off the
-        surface, is nearly the same and has a derivative that a solver can use. Certificates use the exact one.
+        The exact normal of a triangulated surface jumps in its derivative from facet to facet; the grid's, taken a
+        finger's radius off the surface, is nearly the same and has a derivative that a solver can use. Certificates use
+        the exact one.
         """
         R_WO = self.scene.X_WO.rotation().matrix()
         distance, gradient, slope = self.scene.object.grid.smooth(self._to_object(self.contact_centers_W))

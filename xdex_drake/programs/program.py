@@ -1,8 +1,8 @@
 """Grasp programs: a `MathematicalProgram` with named costs and constraints, open to a user's own.
 
-The decision variables are X_WH (x, y, z, qw, qx, qy, qz), the actuated joints q, and the contact forces f in W in units of the object's
-weight. Costs and constraints are written on the tangent (`constraints.py`); here they become Drake costs and constraints by the chain
-rule, with analytic gradients: nothing is differentiated through the plant.
+The decision variables are X_WH (x, y, z, qw, qx, qy, qz), the actuated joints q, and the contact forces f in W in units
+of the object's weight. Costs and constraints are written on the tangent (`constraints.py`); here they become Drake
+costs and constraints by the chain rule, with analytic gradients: nothing is differentiated through the plant.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class LeastSquares:
 class UserCost:
     """A cost weight * function(k) that a user wrote as a function of the hand's configuration alone.
 
-    Its gradient is taken by central differences over the 6 + n tangent directions, at the cost of as many forward kinematics.
+    Its gradient is taken by central differences over the 6 + n tangent directions, at the cost of as many forward
+    kinematics.
 
     Attributes:
         name: Name in tables and results.
@@ -92,8 +93,9 @@ Cost = LeastSquares | UserCost
 class GraspProgram:
     """A named nonlinear program over a grasp.
 
-    Public and open: `prog` takes ordinary `AddCost` and `AddConstraint` on `X_WH`, `q` and `f`; `add_cost` takes a function of the
-    configuration; `plant` is the joint plant for a user's own Drake costs. `str(program)` is a table of its costs and constraints.
+    Public and open: `prog` takes ordinary `AddCost` and `AddConstraint` on `X_WH`, `q` and `f`; `add_cost` takes a
+    function of the configuration; `plant` is the joint plant for a user's own Drake costs. `str(program)` is a table of
+    its costs and constraints.
     """
 
     def __init__(self, name: str, start: Point, costs: tuple[Cost, ...], constraints: tuple[Block, ...]) -> None:
@@ -151,7 +153,8 @@ class GraspProgram:
 
         Args:
             name: Name in tables and results.
-            function: A smooth function of the hand's configuration, from which it may read `X_WH`, `q`, and points of links.
+            function: A smooth function of the hand's configuration, from which it may read `X_WH`, `q`, and points of
+                links.
             weight: Weight.
         """
         self._add_cost(UserCost(name, weight, function))
@@ -167,7 +170,7 @@ class GraspProgram:
         return np.concatenate([X_WH.translation(), quaternion, point.k.q, point.forces.ravel()])
 
     def point(self, x: Array) -> Point:
-        """The point at values of the decision variables; the last one is kept, since costs and constraints ask in turn."""
+        """The point at values of the decision variables; the last is kept, since costs and constraints ask in turn."""
         x = np.ascontiguousarray(x, dtype=float)
         key = x.tobytes()
         if self._last is not None and self._last[0] == key:

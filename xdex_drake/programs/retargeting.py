@@ -1,4 +1,4 @@
-"""The retargeting program of Eq. (2): another hand's keypoints, with contact, clearance and, by default, force closure."""
+"""The retargeting program of Eq. (2): another hand's keypoints, under contact, clearance and force closure."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Batched multi-start: many candidates descend the energy of Eq. (1) together.
 
-Every candidate has its own approach, posture and contact set (which fingers shall touch). Gradients are analytic: terms give gradients
-with respect to points, the kinematics' adjoint carries them to wrist and joints, and Adam steps on the tangent. Distances come from
-the object's grid; the polish that follows uses exact ones.
+Every candidate has its own approach, posture and contact set (which fingers shall touch). Gradients are analytic: terms
+give gradients with respect to points, the kinematics' adjoint carries them to wrist and joints, and Adam steps on the
+tangent. Distances come from the object's grid; the polish that follows uses exact ones.
 """
 
 from __future__ import annotations
@@ -431,7 +431,8 @@ def grasp_center(hand: Hand) -> tuple[Array, Array]:
         hand: The hand.
 
     Returns:
-        The midpoint of the thumb's tip and the mean of the other tips [m], shape (3,), and the unit vector from the palm to it.
+        The midpoint of the thumb's tip and the mean of the other tips [m], shape (3,), and the unit vector from the
+        palm to it.
     """
     from pydrake.math import RigidTransform
 
@@ -441,10 +442,8 @@ def grasp_center(hand: Hand) -> tuple[Array, Array]:
     links = np.array([hand.link_index[f.tip_link] for f in hand.fingers])
     tips = at_rest.points(links, np.array([f.p_LTip for f in hand.fingers]))
     thumb = np.array([f.name == "thumb" for f in hand.fingers])
-    if thumb.any() and not thumb.all():
-        center = 0.5 * (tips[thumb].mean(0) + tips[~thumb].mean(0))
-    else:
-        center = tips.mean(0)
+    opposed = thumb.any() and not thumb.all()
+    center = 0.5 * (tips[thumb].mean(0) + tips[~thumb].mean(0)) if opposed else tips.mean(0)
     # The palm: the mean of the roots of the fingers.
     roots = np.array([hand.link_index[f.links[0]] for f in hand.fingers])
     direction = center - at_rest.p_WLs[roots].mean(0)
@@ -482,7 +481,8 @@ def random_contact_sets(hand: Hand, rng: np.random.Generator, count: int, contac
     others = [k for k, name in enumerate(names) if name != "thumb"]
     sets = np.zeros((count, len(names)), dtype=bool)
     most = min(contacts - len(thumb), len(others))
-    # Two hard fingers cannot resist a torque about the line between them, so pinches are left to hands that can do no more.
+    # Two hard fingers cannot resist a torque about the line between them, so pinches are left to hands that can do no
+    # more.
     least = min(2, most)
     for row in sets:
         size = int(rng.integers(least, most + 1))
@@ -495,7 +495,8 @@ def random_contact_sets(hand: Hand, rng: np.random.Generator, count: int, contac
 def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, seed: int) -> State:
     """Random starts: the grasp center near the object's, the hand coming from above or from a side.
 
-    More starts than asked for are drawn and those kept that lie least in object and table, spread over the octants of approach.
+    More starts than asked for are drawn and those kept that lie least in object and table, spread over the octants of
+    approach.
 
     Args:
         problem: The problem.
@@ -616,9 +617,7 @@ def refine(
     return _candidates(state, energy, values, torch.arange(len(energy), device=device))
 
 
-def _candidates(
-    state: State, energy: torch.Tensor, values: dict[str, torch.Tensor], order: torch.Tensor
-) -> Candidates:
+def _candidates(state: State, energy: torch.Tensor, values: dict[str, torch.Tensor], order: torch.Tensor) -> Candidates:
     """Candidates in NumPy, in the given order."""
 
     def array(t: torch.Tensor) -> Array:

@@ -1,8 +1,9 @@
 """A sequential convex solver for grasp programs.
 
-Each iteration linearises the constraints about the point, adds one elastic slack for each block of inequalities, and solves a small convex
-QP with DAQP inside a trust region. Equalities are kept by a stiff quadratic penalty, which lets a step trade a tenth of a micrometre for
-feasibility of the subproblem; what is left is judged afterwards, by the program's own residuals.
+Each iteration linearises the constraints about the point, adds one elastic slack for each block of inequalities, and
+solves a small convex QP with DAQP inside a trust region. Equalities are kept by a stiff quadratic penalty, which lets a
+step trade a tenth of a micrometre for feasibility of the subproblem; what is left is judged afterwards, by the
+program's own residuals.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ EQUALITY = 1e3
 LOOSE = 20.0
 """The same for equalities in millimetres during the first half of the iterations.
 
-A finger that slides along a curved surface leaves it by the square of its step. A stiff penalty from the start would allow tiny steps only.
+A finger that slides along a curved surface leaves it by the square of its step. A stiff penalty from the start would
+allow tiny steps only.
 """
 
 SLACK = 30.0
@@ -41,7 +43,8 @@ def _merit(program: GraspProgram, point: Point, loose: bool) -> float:
         g, _, low, high = block.rows(point)
         miss = np.maximum(low - g, g - high).clip(min=0.0)
         equal = low == high
-        total += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum()) + SLACK * float(miss[~equal].max(initial=0.0))
+        total += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum())
+        total += SLACK * float(miss[~equal].max(initial=0.0))
     return total
 
 

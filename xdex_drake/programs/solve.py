@@ -16,7 +16,7 @@ from xdex_drake.programs.sequential import solve_sequential
 SOLVERS = ("sequential", "snopt", "ipopt", "nlopt")
 
 TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2}
-"""Greatest violation that counts as satisfied, by the unit of a block. Forces are balanced exactly afterwards, by a cone program."""
+"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Energy terms of the grasp programs, each written once, with its gradient, for NumPy arrays and torch tensors alike.
 
-A term is a pure function of what kinematics supplies (distances of spheres, contact points and normals, keypoints, joint values)
-and returns its value and its gradient with respect to those inputs. Leading dimensions are batches. The same functions serve the
-batched search (torch) and the `MathematicalProgram` (NumPy).
+A term is a pure function of what kinematics supplies (distances of spheres, contact points and normals, keypoints,
+joint values) and returns its value and its gradient with respect to those inputs. Leading dimensions are batches. The
+same functions serve the batched search (torch) and the `MathematicalProgram` (NumPy).
 """
 
 from __future__ import annotations
@@ -124,9 +124,9 @@ def wrench_energy(p_WCs: Any, n_WCs: Any, f_Ws: Any, p_WOcm: Any, length: float)
 
     E_fc = 1/2 |G f|^2
 
-    With f = n this is half the paper's estimator |G n|^2 (Liu et al. 2021). With f the minimiser of the same energy over friction cones
-    it is the value of a convex wrench program, and the gradient is exact although f is held (Danskin): forces keep their coordinates
-    in the contact frame, so they turn with the normal, df = (n x dn) x f.
+    With f = n this is half the paper's estimator |G n|^2 (Liu et al. 2021). With f the minimiser of the same energy
+    over friction cones it is the value of a convex wrench program, and the gradient is exact although f is held
+    (Danskin): forces keep their coordinates in the contact frame, so they turn with the normal, df = (n x dn) x f.
 
     Args:
         p_WCs: Contact points [m], shape (..., nc, 3).

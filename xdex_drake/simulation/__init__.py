@@ -1,0 +1,1 @@
+"""Simulation: pre-grasp and squeeze, and the lift that validates a grasp."""

@@ -240,5 +240,3 @@ def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIF
         The verdict.
     """
     return simulate_lift(lift_rig(hand, scene, protocol=protocol), grasp)
-
-

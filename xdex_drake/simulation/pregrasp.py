@@ -60,7 +60,9 @@ def pregrasp_program(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, c
     def evaluate(point: Point) -> tuple[Array, Array]:
         turn = (point.k.X_WH.rotation() @ X_WH.rotation().inverse()).matrix()
         w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        return scale * np.concatenate([w, point.k.X_WH.translation() - X_WH.translation(), point.k.q - q]), np.diag(scale)
+        return scale * np.concatenate([w, point.k.X_WH.translation() - X_WH.translation(), point.k.q - q]), np.diag(
+            scale
+        )
 
     near, gaps, _ = start.object_distances
     heights = start.centers_W[:, 2] - hand.spheres[:, 3]
