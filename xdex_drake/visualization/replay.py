@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.geometry import (
+    Box,
     Meshcat,
     MeshcatAnimation,
     MeshcatCone,
@@ -27,13 +28,13 @@ from xdex_drake.contact.certificate import contact_geometry
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Array, Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.scene.bodies import OBJECT_COLOR
+from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
 from xdex_drake.scene.plant import build_plant
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.lift import lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 from xdex_drake.visualization.forces import FORCE_COLOR, HandForces, add_arrow, place_arrow
-from xdex_drake.visualization.views import best_direction, best_view
+from xdex_drake.visualization.views import Blobs, best_direction, best_view, frame_blobs, grasp_blobs
 
 FRAMES_PER_SECOND = 32.0
 """A power of two, whose multiples of the period are exact: no frame is rounded into its neighbour's place."""
@@ -59,6 +60,12 @@ CONE_HEIGHT = 0.02
 
 OBJECT_OPACITY = 0.5
 """Opacity of an object whose friction cones are shown."""
+
+GAP = 0.36
+"""Distance of grasps that are shown side by side [m]."""
+
+ROWS_ELEVATION = 0.6
+"""Elevation from which several rows of grasps are seen [rad]."""
 
 GRID_COLOR = (0.44, 0.46, 0.50)
 
@@ -108,13 +115,14 @@ def _aim(meshcat: Meshcat, X_WC: RigidTransform, p_WT: Array) -> None:
     meshcat.SetCameraPose(p_WC, p_WC + max(float((p_WT - p_WC) @ forward), 0.05) * forward)
 
 
-def _draw_grid(meshcat: Meshcat, half: float = 0.5, step: float = 0.05) -> None:
+def _draw_grid(meshcat: Meshcat, center: Array, half: float = 0.5, step: float = 0.05) -> None:
     """Lines on the table 5 cm apart, against which a rise can be seen."""
     ticks = np.arange(-half, half + 0.5 * step, step)
-    z = 3e-4
-    starts = [(x, -half, z) for x in ticks] + [(-half, y, z) for y in ticks]
-    ends = [(x, half, z) for x in ticks] + [(half, y, z) for y in ticks]
-    meshcat.SetLineSegments("/drake/grid", np.array(starts).T, np.array(ends).T, 1.0, Rgba(*GRID_COLOR))
+    starts = np.array([(x, -half, 0.0) for x in ticks] + [(-half, y, 0.0) for y in ticks])
+    ends = np.array([(x, half, 0.0) for x in ticks] + [(half, y, 0.0) for y in ticks])
+    # Just above the table.
+    shift = np.array([center[0], center[1], 3e-4])
+    meshcat.SetLineSegments("/drake/grid", (starts + shift).T, (ends + shift).T, 1.0, Rgba(*GRID_COLOR))
 
 
 def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: LiftProtocol) -> tuple[Lift, int]:
@@ -141,7 +149,7 @@ def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: 
             forces.publish(plant_context, root.get_time())
         return EventStatus.DidNothing()
 
-    _draw_grid(meshcat)
+    _draw_grid(meshcat, grasp.X_WO.translation())
     meshcat.StartRecording(frames_per_second=FRAMES_PER_SECOND)
     rig.simulator.set_monitor(monitor)
     lift = simulate_lift(rig, grasp)
@@ -233,41 +241,34 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
         raise ConfigError(
             f"there are {len(grasps)} grasps, {len(hands)} hands and {len(scenes)} scenes; give as many of each"
         )
-    _draw_grid(meshcat)
     direction = best_direction(grasps[0], hands[0], scenes[0])
-    # Side by side as the camera sees them.
-    right = np.cross([0.0, 0.0, 1.0], direction)
-    right /= np.linalg.norm(right)
-    views, columns = [], 1 if len(grasps) == 1 else min(5, round(np.ceil(np.sqrt(1.6 * len(grasps)))))
+    ahead = -np.array([direction[0], direction[1], 0.0]) / np.hypot(direction[0], direction[1])
+    # Side by side as the camera sees them; several rows are seen from higher up.
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    columns = min(5, len(grasps)) if len(grasps) <= 5 else min(6, int(np.ceil(np.sqrt(1.6 * len(grasps)))))
+    if len(grasps) > columns:
+        direction = -ahead + np.array([0.0, 0.0, np.tan(ROWS_ELEVATION)])
+    seen: list[Blobs] = []
     for k, (grasp, hand, scene) in enumerate(zip(grasps, hands, scenes, strict=True)):
         row, column = divmod(k, columns)
         in_row = min(columns, len(grasps) - row * columns)
-        back = -np.array([direction[0], direction[1], 0.0]) / np.hypot(direction[0], direction[1])
-        offset = 0.45 * (column - 0.5 * (in_row - 1)) * right + 0.5 * row * back
-        _draw_grasp(meshcat, f"grasp_{k}", grasp, hand, scene, offset, table=k == 0)
-        views.append(replace(grasp, X_WH=_shifted(grasp.X_WH, offset), X_WO=_shifted(grasp.X_WO, offset)))
-    cameras = [
-        best_view(g, h, s, fov_y=FOV_Y, aspect=ASPECT, direction=direction, margin=1.3)
-        for g, h, s in zip(views, hands, scenes, strict=True)
-    ]
-    # Each camera sees its own grasp; from the middle of them, the farther, all are seen.
-    R_WC = cameras[0].rotation()
-    p_Cs = np.array([R_WC.matrix().T @ c.translation() for c in cameras])
-    center = 0.5 * (p_Cs.max(axis=0) + p_Cs.min(axis=0))
-    half = 0.5 * (p_Cs.max(axis=0) - p_Cs.min(axis=0))[:2]
-    back_off = float((half / (np.tan(0.5 * FOV_Y) * np.array([ASPECT, 1.0]))).max())
-    p_WC = R_WC.matrix() @ np.array([center[0], center[1], p_Cs[:, 2].min() - back_off])
-    target = np.mean([g.X_WO.translation() for g in views], axis=0)
-    _aim(meshcat, RigidTransform(R_WC, p_WC), target)
+        offset = GAP * ((column - 0.5 * (in_row - 1)) * right + row * ahead)
+        _draw_grasp(meshcat, f"grasp_{k}", grasp, hand, scene, offset)
+        blobs = grasp_blobs(grasp, hand, scene)
+        seen.append(Blobs(blobs.centers_W + offset, blobs.radii))
+    everything = Blobs(np.concatenate([b.centers_W for b in seen]), np.concatenate([b.radii for b in seen]))
+    low, high = everything.centers_W.min(axis=0), everything.centers_W.max(axis=0)
+    center, half = 0.5 * (low + high), float(0.5 * (high - low)[:2].max())
+    # One table under all of them.
+    size = 2.0 * half + 1.5
+    meshcat.SetObject("/drake/table", Box(size, size, 0.1), Rgba(*TABLE_COLOR))
+    meshcat.SetTransform("/drake/table", RigidTransform([center[0], center[1], -0.05]))
+    _draw_grid(meshcat, center, 0.05 * np.ceil((half + 0.3) / 0.05))
+    X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.3 if len(grasps) == 1 else 1.1)
+    _aim(meshcat, X_WC, center)
 
 
-def _shifted(X: RigidTransform, offset: Array) -> RigidTransform:
-    return RigidTransform(X.rotation(), X.translation() + offset)
-
-
-def _draw_grasp(
-    meshcat: Meshcat, name: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array, *, table: bool
-) -> None:
+def _draw_grasp(meshcat: Meshcat, name: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array) -> None:
     def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, MeshcatVisualizerParams(prefix=name))
 
@@ -279,9 +280,7 @@ def _draw_grasp(
     bench.set_object(plant_context, grasp.X_WO)
     bench.diagram.ForcedPublish(context)
     path = f"/drake/{name}"
-    # One table serves them all; its geometry is what the world body draws.
-    if not table:
-        meshcat.Delete(f"{path}/table")
+    meshcat.Delete(f"{path}/table")
     meshcat.SetTransform(path, RigidTransform(offset))
     if grasp.certificate is not None:
         # The cones open into the object, so it is drawn again to be seen through.

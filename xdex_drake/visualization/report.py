@@ -445,6 +445,7 @@ table { border-collapse: collapse; min-width: min(640px, 100%); font-variant-num
 th, td { padding: 6px 14px; border-bottom: 1px solid var(--line); text-align: left; white-space: nowrap; }
 th { color: var(--soft); font-weight: 600; font-size: 0.85rem; }
 th.n, td.n { text-align: right; }
+@media (max-width: 560px) { th, td { padding: 5px 7px; } table { font-size: 0.9rem; } }
 tr.total td { font-weight: 600; border-bottom: none; }
 .grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(270px, 100%), 1fr)); gap: 18px;
   margin-top: 18px; }

@@ -183,6 +183,28 @@ def best_direction(grasp: Grasp, hand: Hand, scene: Scene) -> Array:
     return best
 
 
+def grasp_blobs(grasp: Grasp, hand: Hand, scene: Scene, *, rise_m: float = 0.0) -> Blobs:
+    """Balls about everything that a picture of a grasp is to hold.
+
+    Args:
+        grasp: The grasp.
+        hand: Its hand.
+        scene: Its scene.
+        rise_m: Height by which everything will rise and stay in the picture, from the pre-grasp on [m].
+
+    Returns:
+        Hand and object, and both of them risen.
+    """
+    parts = [hand_blobs(hand, grasp.X_WH, grasp.q)]
+    if grasp.X_WH_pregrasp is not None and grasp.q_pregrasp is not None and rise_m > 0.0:
+        parts.append(hand_blobs(hand, grasp.X_WH_pregrasp, grasp.q_pregrasp))
+    points, _, _ = object_points(scene, grasp.X_WO)
+    parts.append(Blobs(points, np.full(len(points), 0.005)))
+    if rise_m > 0.0:
+        parts += [Blobs(part.centers_W + np.array([0.0, 0.0, rise_m]), part.radii) for part in parts]
+    return Blobs(np.concatenate([part.centers_W for part in parts]), np.concatenate([part.radii for part in parts]))
+
+
 def best_view(
     grasp: Grasp,
     hand: Hand,
@@ -210,17 +232,8 @@ def best_view(
         X_WC.
     """
     d = best_direction(grasp, hand, scene) if direction is None else direction
-    blobs = hand_blobs(hand, grasp.X_WH, grasp.q)
-    points, _, _ = object_points(scene, grasp.X_WO)
-    parts = [blobs.centers_W, points]
-    radii = [blobs.radii, np.full(len(points), 0.005)]
-    if grasp.X_WH_pregrasp is not None and grasp.q_pregrasp is not None and rise_m > 0.0:
-        opened = hand_blobs(hand, grasp.X_WH_pregrasp, grasp.q_pregrasp)
-        parts, radii = [*parts, opened.centers_W], [*radii, opened.radii]
-    centers, sizes = np.concatenate(parts), np.concatenate(radii)
-    if rise_m > 0.0:
-        centers, sizes = (
-            np.concatenate([centers, centers + np.array([0.0, 0.0, rise_m])]),
-            np.concatenate([sizes, sizes]),
-        )
-    return frame_blobs(Blobs(centers, sizes), d, fov_y=fov_y, aspect=aspect, margin=margin)
+    if direction is None and rise_m > 0.0:
+        # From high above, a rise is hard to see.
+        d = np.array([d[0], d[1], min(d[2], np.hypot(d[0], d[1]) * np.tan(ELEVATIONS[1]))])
+    blobs = grasp_blobs(grasp, hand, scene, rise_m=rise_m)
+    return frame_blobs(blobs, d, fov_y=fov_y, aspect=aspect, margin=margin)
