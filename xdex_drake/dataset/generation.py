@@ -211,7 +211,7 @@ def manifest(config: DatasetConfig) -> Manifest:
     return Manifest(
         config=plain,
         seed=config.seed,
-        units=[unit.name for unit in plan(config)],
+        units=tuple(unit.name for unit in plan(config)),
         versions=versions(),
         digests=digests,
     )

@@ -607,9 +607,9 @@ def refine(
     problem = search_problem(hand, scene, settings, device=device)
 
     def tensor(values: Array) -> torch.Tensor:
-        return torch.as_tensor(values.astype(float), dtype=problem.batched.dtype, device=device)
+        return torch.as_tensor(values, dtype=problem.batched.dtype, device=device)
 
-    fingers = tensor(starts.fingers)
+    fingers = tensor(starts.fingers.astype(float))
     forces = torch.zeros((*fingers.shape, 3), dtype=fingers.dtype, device=device)
     with torch.no_grad():
         state = State(tensor(starts.R_WHs), tensor(starts.p_WHs), tensor(starts.qs), fingers, forces)

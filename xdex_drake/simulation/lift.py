@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -78,7 +79,7 @@ class _Touch:
 
 
 def _touching(bench: ScenePlant, context: Context) -> _Touch:
-    results = bench.plant.get_contact_results_output_port().Eval(context)
+    results: Any = bench.plant.get_contact_results_output_port().Eval(context)
     index_of = {body.index(): k for k, body in enumerate(bench.links)}
     object_index = bench.object_body.index() if bench.object_body is not None else None
     on_object, on_table = set(), set()
@@ -149,7 +150,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
         joint.set_translation(plant_context, value)
     bench.set_object(plant_context, grasp.X_WO)
     assert bench.object_body is not None and bench.scene is not None
-    p_OOcm = bench.scene.object.p_OOcm
+    body, p_OOcm = bench.object_body, bench.scene.object.p_OOcm
 
     def command(t: float) -> None:
         q, offset = targets(grasp, protocol, t)
@@ -157,7 +158,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
         carriage_port.FixValue(plant_context, np.concatenate([offset, np.zeros(3)]))
 
     def center_height() -> float:
-        X_WO = plant.EvalBodyPoseInWorld(plant_context, bench.object_body)
+        X_WO = plant.EvalBodyPoseInWorld(plant_context, body)
         return float((X_WO @ p_OOcm)[2])
 
     def result(reason: str, height: float, tips: tuple[str, ...]) -> Lift:
@@ -212,7 +213,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
 
 def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
     """Contacts of the configuration as it stands, from geometry alone."""
-    query = bench.plant.get_geometry_query_input_port().Eval(context)
+    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
     inspector = query.inspector()
     index_of = {body.index(): k for k, body in enumerate(bench.links)}
     on_object, on_table = set(), set()
