@@ -218,24 +218,32 @@ def candidates_of_batch(
 
 
 def certified_grasps(
-    hand: Hand, scene: Scene, *, seed: int = 0, settings: SynthesisSettings | None = None, tally: Tally | None = None
+    hand: Hand,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    time_limit_s: float = float("inf"),
+    settings: SynthesisSettings | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Grasp]:
-    """Certified grasps, without end: batch after batch.
+    """Certified grasps, batch after batch.
 
     Args:
         hand: The hand.
         scene: The scene.
         seed: Seed.
+        time_limit_s: Wall time after which no further batch is begun [s].
         settings: Settings; the defaults where None.
         tally: Counts to add to.
 
     Yields:
         Certified grasps, not yet lifted; see `candidates_of_batch`.
     """
+    start = time.perf_counter()
     settings = settings or SynthesisSettings()
     tally = tally if tally is not None else Tally()
     batch = 0
-    while True:
+    while time.perf_counter() - start < time_limit_s:
         grasps = candidates_of_batch(hand, scene, seed=batch_seed(seed, batch), settings=settings, tally=tally)
         for grasp in grasps:
             yield replace(grasp, grasp_id=f"{hand.name}-{scene.object.name}-{seed}-{batch}-{grasp.grasp_id}")
@@ -296,7 +304,8 @@ def synthesize(
     tally = tally if tally is not None else Tally()
     start = time.perf_counter()
     rig = lift_rig(hand, scene, protocol=protocol)
-    for grasp in lift_all(rig, certified_grasps(hand, scene, seed=seed, settings=settings, tally=tally), tally):
+    found = certified_grasps(hand, scene, seed=seed, time_limit_s=time_limit_s, settings=settings, tally=tally)
+    for grasp in lift_all(rig, found, tally):
         tally.seconds = time.perf_counter() - start
         yield grasp
         if tally.lifted >= count or tally.seconds > time_limit_s:

@@ -47,7 +47,7 @@ FINGER_COLORS = {
 """Color (red, green, blue) of each finger's links."""
 
 OTHER_FINGER_COLOR = (0.45, 0.65, 0.68)
-PALM_COLOR = (0.32, 0.34, 0.38)
+PALM_COLOR = (0.45, 0.47, 0.52)
 
 
 def add_hand(

@@ -90,6 +90,44 @@ class UserCost:
 Cost = LeastSquares | UserCost
 
 
+class _Evaluator:
+    """Turns decision variables into points; the last one is kept, since costs and constraints ask in turn."""
+
+    def __init__(self, start: Point) -> None:
+        self._start = start
+        self._last: tuple[bytes, Point] | None = None
+
+    def point(self, x: Array) -> Point:
+        x = np.ascontiguousarray(x, dtype=float)
+        key = x.tobytes()
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
+        start, n = self._start, len(self._start.k.q)
+        R_WH = RotationMatrix(Quaternion(wxyz=x[3:7] / np.linalg.norm(x[3:7])))
+        k = Configuration.at(start.k.hand, RigidTransform(R_WH, x[:3]), x[7 : 7 + n])
+        point = Point(k, start.scene, start.contacts, x[7 + n :].reshape(-1, 3))
+        self._last = (key, point)
+        return point
+
+
+def tangent_rates(x: Array) -> Array:
+    """Matrix that turns rates of the decision variables into the tangent.
+
+    Args:
+        x: Decision variables, shape (7 + n + 3 nc,).
+
+    Returns:
+        Matrix, shape (6 + n + 3 nc, 7 + n + 3 nc).
+    """
+    w, a, b, c = x[3:7]
+    T = np.zeros((len(x) - 1, len(x)))
+    # Angular velocity of a quaternion that need not have unit length: 2 (rate times conjugate) / |quaternion|^2.
+    T[:3, 3:7] = 2.0 / (x[3:7] @ x[3:7]) * np.array([[-a, w, -c, b], [-b, c, w, -a], [-c, -b, a, w]])
+    T[3:6, :3] = np.eye(3)
+    T[6:, 7:] = np.eye(len(x) - 7)
+    return T
+
+
 class GraspProgram:
     """A named nonlinear program over a grasp.
 
@@ -116,7 +154,7 @@ class GraspProgram:
         self.q: NDArray = self.prog.NewContinuousVariables(len(start.k.q), "q")
         self.f: NDArray = self.prog.NewContinuousVariables(start.forces.size, "f")
         self.variables = np.concatenate([self.X_WH, self.q, self.f])
-        self._last: tuple[bytes, Point] | None = None
+        self._evaluator = _Evaluator(start)
         self.prog.AddQuadraticConstraint(
             2.0 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]), np.zeros(7), 1.0, 1.0, self.X_WH
         ).evaluator().set_description("unit quaternion")
@@ -170,44 +208,24 @@ class GraspProgram:
         return np.concatenate([X_WH.translation(), quaternion, point.k.q, point.forces.ravel()])
 
     def point(self, x: Array) -> Point:
-        """The point at values of the decision variables; the last is kept, since costs and constraints ask in turn."""
-        x = np.ascontiguousarray(x, dtype=float)
-        key = x.tobytes()
-        if self._last is not None and self._last[0] == key:
-            return self._last[1]
-        n = len(self.start.k.q)
-        R_WH = RotationMatrix(Quaternion(wxyz=x[3:7] / np.linalg.norm(x[3:7])))
-        k = Configuration.at(self.hand, RigidTransform(R_WH, x[:3]), x[7 : 7 + n])
-        point = Point(k, self.scene, self.contacts, x[7 + n :].reshape(-1, 3))
-        self._last = (key, point)
-        return point
+        """The point at values of the decision variables, shape (7 + n + 3 nc,)."""
+        return self._evaluator.point(x)
 
     def rates(self, x: Array) -> Array:
-        """Matrix that turns rates of the decision variables into the tangent.
-
-        Args:
-            x: Decision variables, shape (7 + n + 3 nc,).
-
-        Returns:
-            Matrix, shape (6 + n + 3 nc, 7 + n + 3 nc).
-        """
-        w, a, b, c = x[3:7]
-        T = np.zeros((len(x) - 1, len(x)))
-        # Angular velocity of a quaternion that need not have unit length: 2 (rate times conjugate) / |quaternion|^2.
-        T[:3, 3:7] = 2.0 / (x[3:7] @ x[3:7]) * np.array([[-a, w, -c, b], [-b, c, w, -a], [-c, -b, a, w]])
-        T[3:6, :3] = np.eye(3)
-        T[6:, 7:] = np.eye(len(x) - 7)
-        return T
+        """Matrix that turns rates of the decision variables into the tangent; see `tangent_rates`."""
+        return tangent_rates(x)
 
     def _add_cost(self, cost: Cost) -> None:
         self.costs.append(cost)
+        # Drake keeps the function; one that held the program would keep it alive for ever.
+        evaluator = self._evaluator
 
         def function(z: NDArray) -> object:
             x, derivatives = _split(z)
-            value = cost.value(self.point(x))
+            value = cost.value(evaluator.point(x))
             if derivatives is None:
                 return value
-            gradient = cost.gradient(self.point(x)) @ self.rates(x)
+            gradient = cost.gradient(evaluator.point(x)) @ tangent_rates(x)
             return AutoDiffXd(value, gradient @ derivatives)
 
         self.prog.AddCost(function, self.variables).evaluator().set_description(cost.name)
@@ -216,13 +234,14 @@ class GraspProgram:
         self.constraints.append(block)
         if len(block.lower) == 0:
             return
+        evaluator = self._evaluator
 
         def function(z: NDArray) -> NDArray:
             x, derivatives = _split(z)
-            g, J = block.at(self.point(x))
+            g, J = block.at(evaluator.point(x))
             if derivatives is None:
                 return g
-            rows = J @ self.rates(x) @ derivatives
+            rows = J @ tangent_rates(x) @ derivatives
             return np.array([AutoDiffXd(float(v), row) for v, row in zip(g, rows, strict=True)])
 
         # The quaternion's own bounds are in place already; joint limits too, for a solver that knows bounds.
@@ -239,10 +258,10 @@ class GraspProgram:
         ]
         for cost in self.costs:
             lines.append(f"  {cost.name:<14}{cost.weight:>9.3g}{cost.value(point):>12.4g}  {cost.meaning}")
-        lines.append(f"  {'constraint':<14}{'rows':>9}{'violation':>12}  meaning")
+        lines.append(f"  {'constraint':<14}{'rows':>9}  {'violation':>12}  meaning")
         for block in self.constraints:
             violation = f"{block.violation(point):.3g} {block.unit}"
-            lines.append(f"  {block.name:<14}{len(block.lower):>9}{violation:>12}  {block.meaning}")
+            lines.append(f"  {block.name:<14}{len(block.lower):>9}  {violation:>12}  {block.meaning}")
         return "\n".join(lines)
 
     def __str__(self) -> str:

@@ -7,6 +7,8 @@ tangent. Distances come from the object's grid; the polish that follows uses exa
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -559,6 +561,17 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     )
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread for torch: tensors of this size gain nothing from more, and on a busy machine lose much by waiting."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def search(
     hand: Hand,
     scene: Scene,
@@ -582,7 +595,7 @@ def search(
         The candidates, lowest energy first.
     """
     problem = search_problem(hand, scene, settings, device=device)
-    with torch.no_grad():
+    with torch.no_grad(), _one_thread():
         state = sample_starts(problem, hand, scene, count, seed)
         energy, values = descend(problem, state)
     order = torch.argsort(energy)
@@ -611,7 +624,7 @@ def refine(
 
     fingers = tensor(starts.fingers.astype(float))
     forces = torch.zeros((*fingers.shape, 3), dtype=fingers.dtype, device=device)
-    with torch.no_grad():
+    with torch.no_grad(), _one_thread():
         state = State(tensor(starts.R_WHs), tensor(starts.p_WHs), tensor(starts.qs), fingers, forces)
         energy, values = descend(problem, state)
     return _candidates(state, energy, values, torch.arange(len(energy), device=device))

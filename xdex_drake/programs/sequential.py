@@ -75,6 +75,8 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
     rows, lows, highs, owner = [], [], [], []
     blocks = 0
     for block in program.constraints:
+        if block.name == "limits":
+            continue
         g, J, low, high = block.rows(point)
         equal = low == high
         if equal.any():
@@ -90,12 +92,17 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
             owner.append(np.full(int(near.sum()), blocks))
             blocks += 1
     bound = np.concatenate([np.full(3, trust), np.full(3, 0.1 * trust), np.full(n, trust), np.full(size - 6 - n, 10.0)])
+    # Joint limits hold exactly, as bounds of the step.
+    low_q, high_q = point.k.hand.limits - point.k.q
+    step_low, step_high = -bound, bound.copy()
+    step_low[6 : 6 + n] = np.minimum(np.maximum(step_low[6 : 6 + n], low_q), 0.0)
+    step_high[6 : 6 + n] = np.maximum(np.minimum(step_high[6 : 6 + n], high_q), 0.0)
     H = np.zeros((size + blocks, size + blocks))
     H[:size, :size] = P
     H[size:, size:] = 1e-3 * np.eye(blocks)
     f = np.concatenate([c, np.full(blocks, SLACK)])
-    upper = np.concatenate([bound, np.full(blocks, 1e6)])
-    lower = np.concatenate([-bound, np.zeros(blocks)])
+    upper = np.concatenate([step_high, np.full(blocks, 1e6)])
+    lower = np.concatenate([step_low, np.zeros(blocks)])
     if blocks:
         A = np.concatenate(rows)
         low, high, own = np.concatenate(lows), np.concatenate(highs), np.concatenate(owner)

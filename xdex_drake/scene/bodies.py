@@ -86,7 +86,9 @@ def visual_mesh(object: ObjectModel) -> Mesh:
     Returns:
         The shape; its frame is O.
     """
-    text = trimesh.Trimesh(object.vertices, object.faces, process=False).export(file_type="obj", include_normals=True)
+    # Faces that meet at an edge get normals of their own there; averaged ones smear the light over a can's rim.
+    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(object.vertices, object.faces, process=False), angle=0.5)
+    text = mesh.export(file_type="obj", include_normals=True)
     return Mesh(InMemoryMesh(mesh_file=MemoryFile(str(text), ".obj", object.name)))
 
 
