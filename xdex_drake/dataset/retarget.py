@@ -7,7 +7,7 @@ from dataclasses import replace
 from xdex_drake.dataset.synthesis import Outcome, SynthesisSettings, polish
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
-from xdex_drake.programs.retargeting import retargeting_program
+from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
@@ -37,6 +37,11 @@ def retarget(
     settings = settings or SynthesisSettings()
     program = retargeting_program(grasp, source_hand, target, scene, settings=settings.polish)
     outcome = polish(program, settings, protocol=protocol)
+    if outcome.grasp is None:
+        # Hands that differ much start deep in the object, from where local convex steps do not get out.
+        start = refined_start(grasp, source_hand, target, scene)
+        program = retargeting_program(grasp, source_hand, target, scene, start=start, settings=settings.polish)
+        outcome = polish(program, settings, protocol=protocol)
     if outcome.grasp is None:
         return outcome
     named = replace(

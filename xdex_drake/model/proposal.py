@@ -17,14 +17,12 @@ from xdex_drake.model.features import hand_features, object_features, zero_confi
 from xdex_drake.model.predict import Prediction, sample
 from xdex_drake.programs.force_closure import polish_program
 from xdex_drake.programs.link_pose_ik import link_pose_ik, touching_fingers
-from xdex_drake.programs.search import Candidates, SearchSettings, refine
+from xdex_drake.programs.retargeting import REFINEMENT
+from xdex_drake.programs.search import Candidates, refine
 from xdex_drake.scene.tabletop import Scene, point_cloud
 
 OBJECT_POINTS = 1024
 """Points of the object's surface that the model sees."""
-
-REFINEMENT = SearchSettings(iterations=60, translation_step=0.002, rotation_step=0.02, joint_step=0.03)
-"""The batched descent that takes predictions out of penetration and onto the surface before they are polished."""
 
 
 def default_checkpoint() -> Path:

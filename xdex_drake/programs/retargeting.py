@@ -12,6 +12,7 @@ from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.inverse_kinematics import PointTargets, keypoint_targets, solve_points
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.programs.search import Candidates, SearchSettings, refine
 from xdex_drake.scene.tabletop import Scene
 
 KEYPOINT_SCALE = 0.01
@@ -84,24 +85,58 @@ def warm_start(source: Grasp, source_hand: Hand, target: Hand, *, wrist: float =
     return RigidTransform(R_WH, found.p_WHs[0]), found.qs[0]
 
 
+REFINEMENT = SearchSettings(iterations=60, translation_step=0.002, rotation_step=0.02, joint_step=0.03)
+"""The short descent that takes a warm start out of penetration and onto the surface, where hands differ much."""
+
+
+def refined_start(
+    source: Grasp, source_hand: Hand, target: Hand, scene: Scene, *, settings: SearchSettings = REFINEMENT
+) -> tuple[RigidTransform, Array]:
+    """The warm start after a short descent of the energy of Eq. (1).
+
+    Args:
+        source: The source grasp.
+        source_hand: Its hand.
+        target: The target hand.
+        scene: Their scene.
+        settings: Settings of the descent.
+
+    Returns:
+        Wrist pose and joint values of the target hand.
+    """
+    X_WH, q = warm_start(source, source_hand, target)
+    fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
+    start = Candidates(
+        X_WH.rotation().matrix()[None], X_WH.translation()[None], q[None], fingers[None], np.zeros(1), {}
+    )
+    found = refine(target, scene, start, settings=settings)
+    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(found.R_WHs[0]), found.p_WHs[0]), found.qs[0]
+
+
 def retargeting_program(
-    source: Grasp, source_hand: Hand, target: Hand, scene: Scene, *, settings: PolishSettings | None = None
+    source: Grasp,
+    source_hand: Hand,
+    target: Hand,
+    scene: Scene,
+    *,
+    start: tuple[RigidTransform, Array] | None = None,
+    settings: PolishSettings | None = None,
 ) -> GraspProgram:
-    """The retargeting program from its warm start.
+    """The retargeting program.
 
     Args:
         source: A grasp of the source hand.
         source_hand: The source hand.
         target: The target hand.
         scene: The scene.
+        start: Wrist pose and joint values to start from; `warm_start` where None.
         settings: Numbers of the hard constraints; the defaults where None.
 
     Returns:
         The program: posture and effort, keypoints, and the constraints of the force-closure program.
     """
-    X_WH, q = warm_start(source, source_hand, target)
-    touching = _touching_fingers(source, source_hand)
-    fingers = corresponding_fingers(touching, target)
+    X_WH, q = start if start is not None else warm_start(source, source_hand, target)
+    fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
     targets = keypoint_targets(source_hand, source.X_WH, source.q, target)
     return polish_program(
         target,
