@@ -532,7 +532,7 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     fingers = random_contact_sets(hand, rng, total, settings.contacts)
 
     def tensor(values: Array) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=batched.dtype, device=batched.device)
+        return torch.tensor(values, dtype=batched.dtype, device=batched.device)
 
     poses = batched.forward(tensor(R_WHs), tensor(p_WHs), tensor(qs))
     centers = batched.points(poses, batched.sphere_links, batched.sphere_centers)
@@ -620,7 +620,7 @@ def refine(
     problem = search_problem(hand, scene, settings, device=device)
 
     def tensor(values: Array) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=problem.batched.dtype, device=device)
+        return torch.tensor(values, dtype=problem.batched.dtype, device=device)
 
     fingers = tensor(starts.fingers.astype(float))
     forces = torch.zeros((*fingers.shape, 3), dtype=fingers.dtype, device=device)
