@@ -139,18 +139,23 @@ def wrench_blocks(start: Point, settings: PolishSettings) -> tuple[constraints.B
     )
 
 
-def posture_cost(start: Point, weight: float) -> LeastSquares:
-    """Stays near the start: 1/2 w (|p - p0|^2 / (1 cm)^2 + |rotation|^2 / (0.1 rad)^2 + |q - q0|^2 / (0.2 rad)^2).
+def posture_cost(
+    start: Point, weight: float, *, rotation: float = 0.1, translation: float = 0.01, joint: float = 0.2
+) -> LeastSquares:
+    """Stays near the start: 1/2 w (|turn|^2 / rotation^2 + |p - p0|^2 / translation^2 + |q - q0|^2 / joint^2).
 
     Args:
         start: The start.
         weight: Weight.
+        rotation: Turn of the wrist that costs half the weight [rad].
+        translation: Displacement of the wrist that costs the same [m].
+        joint: Change of a joint that costs the same [rad].
 
     Returns:
         The cost.
     """
     n = len(start.k.q)
-    scale = np.concatenate([np.full(3, 1.0 / 0.1), np.full(3, 1.0 / 0.01), np.full(n, 1.0 / 0.2)])
+    scale = np.concatenate([np.full(3, 1.0 / rotation), np.full(3, 1.0 / translation), np.full(n, 1.0 / joint)])
     R0, p0, q0 = start.k.X_WH.rotation(), start.k.X_WH.translation(), start.k.q
 
     def evaluate(point: Point) -> tuple[Array, Array]:

@@ -12,9 +12,9 @@ from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import constraints
-from xdex_drake.programs.force_closure import near_self_pairs
+from xdex_drake.programs.force_closure import near_self_pairs, posture_cost
 from xdex_drake.programs.point import ContactSet, Point
-from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.sequential import solve_sequential
 from xdex_drake.scene.tabletop import Scene
 
@@ -52,18 +52,7 @@ def pregrasp_program(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, c
     Returns:
         The program.
     """
-    n = len(q)
     start = Point(Configuration.at(hand, X_WH, q), scene, NO_CONTACTS, np.zeros((0, 3)))
-    # The carriage of a lift does not turn, so the wrist's rotation is all but fixed.
-    scale = np.concatenate([np.full(3, 1e3), np.full(3, 1.0 / 0.005), np.full(n, 1.0 / 0.3)])
-
-    def evaluate(point: Point) -> tuple[Array, Array]:
-        turn = (point.k.X_WH.rotation() @ X_WH.rotation().inverse()).matrix()
-        w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        return scale * np.concatenate([w, point.k.X_WH.translation() - X_WH.translation(), point.k.q - q]), np.diag(
-            scale
-        )
-
     near, gaps, _ = start.object_distances
     heights = start.centers_W[:, 2] - hand.spheres[:, 3]
     blocks = (
@@ -72,7 +61,8 @@ def pregrasp_program(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, c
         constraints.self_block(near_self_pairs(hand, start.k), 1e-3),
         constraints.limit_block(hand.limits),
     )
-    cost = LeastSquares("opening", 1.0, evaluate, "distance from the grasp")
+    # The carriage of a lift does not turn, so the wrist's rotation is all but fixed.
+    cost = posture_cost(start, 1.0, rotation=1e-3, translation=0.005, joint=0.3)
     return GraspProgram("pre-grasp", start, (cost,), blocks)
 
 
