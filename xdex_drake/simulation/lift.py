@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
@@ -78,20 +79,40 @@ class _Touch:
     table_links: frozenset[int]
 
 
-def _touching(bench: ScenePlant, context: Context) -> _Touch:
-    results: Any = bench.plant.get_contact_results_output_port().Eval(context)
+def _sort_touches(bench: ScenePlant, pairs: Iterable[tuple[BodyIndex, BodyIndex]]) -> _Touch:
+    """Sorts pairs of bodies in contact by what the hand's links touch."""
     index_of = {body.index(): k for k, body in enumerate(bench.links)}
     object_index = bench.object_body.index() if bench.object_body is not None else None
+    world_index = bench.plant.world_body().index()
     on_object, on_table = set(), set()
-    for k in range(results.num_point_pair_contacts()):
-        info = results.point_pair_contact_info(k)
-        for one, other in ((info.bodyA_index(), info.bodyB_index()), (info.bodyB_index(), info.bodyA_index())):
+    for pair in pairs:
+        for one, other in (pair, pair[::-1]):
             if one in index_of:
                 if other == object_index:
                     on_object.add(index_of[one])
-                elif other == bench.plant.world_body().index():
+                elif other == world_index:
                     on_table.add(index_of[one])
     return _Touch(frozenset(on_object), frozenset(on_table))
+
+
+def _touching(bench: ScenePlant, context: Context) -> _Touch:
+    """Contacts of the last step of the simulation."""
+    results: Any = bench.plant.get_contact_results_output_port().Eval(context)
+    infos = (results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts()))
+    return _sort_touches(bench, ((info.bodyA_index(), info.bodyB_index()) for info in infos))
+
+
+def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
+    """Contacts of the configuration as it stands, from geometry alone."""
+    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
+    frame_of = query.inspector().GetFrameId
+
+    def body(geometry: GeometryId) -> BodyIndex:
+        found = bench.plant.GetBodyFromFrameId(frame_of(geometry))
+        assert found is not None
+        return found.index()
+
+    return _sort_touches(bench, ((body(p.id_A), body(p.id_B)) for p in query.ComputePointPairPenetration()))
 
 
 def _smooth(s: float) -> float:
@@ -209,23 +230,6 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     if rise < protocol.success_m:
         return result("slipped", rise, tips)
     return result("too_few_fingertips", rise, tips)
-
-
-def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
-    """Contacts of the configuration as it stands, from geometry alone."""
-    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
-    inspector = query.inspector()
-    index_of = {body.index(): k for k, body in enumerate(bench.links)}
-    on_object, on_table = set(), set()
-    for pair in query.ComputePointPairPenetration():
-        bodies = [bench.plant.GetBodyFromFrameId(inspector.GetFrameId(g)) for g in (pair.id_A, pair.id_B)]
-        for one, other in (bodies, bodies[::-1]):
-            if one is not None and other is not None and one.index() in index_of:
-                if bench.object_body is not None and other.index() == bench.object_body.index():
-                    on_object.add(index_of[one.index()])
-                elif other.index() == bench.plant.world_body().index():
-                    on_table.add(index_of[one.index()])
-    return _Touch(frozenset(on_object), frozenset(on_table))
 
 
 def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Lift:
