@@ -1,0 +1,141 @@
+"""What every reader (URDF, MJCF, SDFormat, a Drake plant) brings a robot file into, before anything is decided about it.
+
+Nothing is merged, guessed or mended here: links without inertia, fixed joints, joints with impossible limits and
+meshes that could not be read all appear as they stand in the file, and `notes` says what a reader had to leave out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder about the segment from `p0` to `p1`, with flat ends.
+
+    Attributes:
+        p0: Middle of one end in L [m], shape (3,).
+        p1: Middle of the other end in L [m], shape (3,).
+        radius: Radius [m].
+    """
+
+    p0: Array
+    p1: Array
+    radius: float
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A surface of triangles, possibly open, possibly of several pieces.
+
+    Attributes:
+        vertices: Corners in L [m], shape (n, 3), the file's scale already applied.
+        faces: Corner indices, shape (m, 3).
+        source: The file it came from, for messages.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    source: str = ""
+
+
+FileGeometry = Sphere | Capsule | Box | Cylinder | TriangleMesh
+
+
+@dataclass(frozen=True)
+class FileInertia:
+    """A link's inertia as the file has it, valid or not.
+
+    Attributes:
+        mass: Mass [kg].
+        p_LLcm: Center of mass in L [m], shape (3,).
+        I_LLcm: Rotational inertia about the center of mass, axes of L [kg m^2], shape (3, 3).
+    """
+
+    mass: float
+    p_LLcm: Array
+    I_LLcm: Array
+
+
+@dataclass(frozen=True)
+class FileLink:
+    """A link as the file has it.
+
+    Attributes:
+        name: Its name.
+        visual: What is drawn, in L.
+        collision: What collides, in L.
+        inertia: None where the file gives none.
+    """
+
+    name: str
+    visual: tuple[FileGeometry, ...] = ()
+    collision: tuple[FileGeometry, ...] = ()
+    inertia: FileInertia | None = None
+
+
+@dataclass(frozen=True)
+class FileMimic:
+    """q = multiplier * q_master + offset, as the file has it; the master may itself be a mimic joint."""
+
+    master: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class FileJoint:
+    """A joint as the file has it.
+
+    Attributes:
+        name: Its name.
+        kind: "fixed", "revolute", "continuous" or "prismatic".
+        parent: Name of the parent link.
+        child: Name of the child link, whose frame is the joint's at q = 0.
+        p_PJ: Origin in the parent link's frame [m], shape (3,).
+        R_PJ: Rotation in the parent link's frame, shape (3, 3).
+        axis: Axis in the joint's frame, shape (3,), of any length but zero.
+        lower: Lower limit [rad or m]; -inf where there is none.
+        upper: Upper limit [rad or m]; inf where there is none.
+        effort: Greatest torque or force [N m or N]; None where the file does not say.
+        mimic: Law of a coupled joint.
+        driven: False where the file says that nothing moves the joint (an MJCF joint without actuator); None where the
+            format does not say.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    p_PJ: Array
+    R_PJ: Array
+    axis: Array
+    lower: float = -np.inf
+    upper: float = np.inf
+    effort: float | None = None
+    mimic: FileMimic | None = None
+    driven: bool | None = None
+
+
+@dataclass(frozen=True)
+class FileModel:
+    """A robot as its file has it: a tree of links.
+
+    Attributes:
+        name: Name of the robot.
+        source: Path of the file, or what else it came from.
+        links: Links; the root is the one that is nobody's child.
+        joints: Joints.
+        ignored_pairs: Pairs of links whose collision the file rules out.
+        notes: What the reader had to leave out or change, one sentence each.
+    """
+
+    name: str
+    source: str
+    links: tuple[FileLink, ...]
+    joints: tuple[FileJoint, ...]
+    ignored_pairs: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
