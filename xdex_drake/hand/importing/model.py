@@ -1,4 +1,4 @@
-"""What every reader (URDF, MJCF, SDFormat, a Drake plant) brings a robot file into, before anything is decided about it.
+"""What every reader (URDF, MJCF, SDFormat, a Drake plant) brings a robot file into, before anything is decided.
 
 Nothing is merged, guessed or mended here: links without inertia, fixed joints, joints with impossible limits and
 meshes that could not be read all appear as they stand in the file, and `notes` says what a reader had to leave out.
