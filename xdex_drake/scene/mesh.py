@@ -1,27 +1,18 @@
 """Reads a mesh file of any usual format into a clean triangle mesh, or says in one line what is wrong with it."""
 
-import io
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import igl
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
-from trimesh.resolvers import Resolver
 
 from xdex_drake.errors import ObjectFileError
+from xdex_drake.mesh_file import Array, Faces, read_triangles
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
-
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".gltf", ".glb", ".dae")
 MAX_TRIANGLES = 2_000_000
 MANY_TRIANGLES = 50_000
-MAX_BYTES = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -41,32 +32,6 @@ class TriangleMesh:
     repairs: tuple[str, ...] = ()
 
 
-class _FolderResolver(Resolver):
-    """Gives a mesh file the files beside or below it, and no others."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder.resolve()
-
-    def get(self, key: str) -> bytes:
-        target = (self.folder / str(key).strip()).resolve()
-        if not target.is_relative_to(self.folder):
-            raise ObjectFileError(f"refers to {key!r}, which is outside its folder; move that file beside the mesh")
-        if not target.is_file():
-            raise ObjectFileError(f"refers to {key!r}, which is missing; put that file beside the mesh")
-        if target.stat().st_size > MAX_BYTES:
-            raise ObjectFileError(f"refers to {key!r}, which exceeds {MAX_BYTES} bytes; use a smaller mesh")
-        return target.read_bytes()
-
-    def write(self, name: str, data: Any) -> None:
-        raise ObjectFileError("mesh files are only read")
-
-    def namespaced(self, namespace: str) -> Resolver:
-        return _FolderResolver(self.folder)
-
-    def keys(self) -> list[str]:
-        return []
-
-
 def read_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
     """Reads a mesh file, merges what belongs together and turns the surface outwards.
 
@@ -74,7 +39,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
     materials and textures are not read.
 
     Args:
-        path: File of one of the types `MESH_SUFFIXES`.
+        path: File of one of the types `xdex_drake.mesh_file.MESH_SUFFIXES`.
         scale: Factor from the file's unit to metres, greater than zero.
 
     Returns:
@@ -86,52 +51,11 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
     path = Path(path)
     if not (math.isfinite(scale) and scale > 0.0):
         raise ObjectFileError(f"{path}: scale is {scale}; give a finite number greater than zero")
-    vertices, faces = _read_triangles(path)
+    vertices, faces = read_triangles(path, ObjectFileError)
     try:
         return clean_mesh(vertices * scale, faces)
     except ObjectFileError as error:
         raise ObjectFileError(f"{path}: {error}") from None
-
-
-def _read_triangles(path: Path) -> tuple[Array, Faces]:
-    suffix = path.suffix.lower()
-    if not path.exists():
-        raise ObjectFileError(f"{path}: no such file; check the path")
-    if not path.is_file():
-        raise ObjectFileError(f"{path}: not a file; give the path of a mesh file")
-    if suffix in (".urdf", ".sdf", ".xml"):
-        raise ObjectFileError(f"{path}: a model description, not a mesh; give the mesh file that it refers to")
-    if suffix not in MESH_SUFFIXES:
-        raise ObjectFileError(f"{path}: unknown type {suffix!r}; convert the mesh to one of {', '.join(MESH_SUFFIXES)}")
-    if path.stat().st_size == 0:
-        raise ObjectFileError(f"{path}: the file is empty; export the mesh again")
-    if path.stat().st_size > MAX_BYTES:
-        raise ObjectFileError(f"{path}: larger than {MAX_BYTES} bytes; simplify the mesh first")
-    data = path.read_bytes()
-    options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".gltf", ".glb") else {}
-    try:
-        if suffix == ".gltf":
-            json.loads(data)
-        scene = trimesh.load_scene(
-            io.BytesIO(data),
-            file_type=suffix[1:],
-            resolver=_FolderResolver(path.parent),
-            process=False,
-            **options,
-        )
-        mesh = scene.to_mesh()
-    except ObjectFileError as error:
-        raise ObjectFileError(f"{path}: {error}") from None
-    except ImportError as error:
-        raise ObjectFileError(
-            f"{path}: reading {suffix} needs the package {error.name}; install it, or use OBJ"
-        ) from None
-    except Exception as error:  # The readers raise anything, from struct.error to RecursionError, on a broken file.
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ObjectFileError(f"{path}: not a readable {suffix[1:]} mesh ({reason}); export it again") from None
-    return np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), np.asarray(mesh.faces, dtype=np.int64).reshape(
-        -1, 3
-    )
 
 
 def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
