@@ -1,6 +1,8 @@
 """What the convex programs share: validation, scaling, constraint matrices of Clarabel, statuses."""
 
 import math
+from copy import copy
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -9,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
-from xdex_drake.contact.cones import cone_violation
 from xdex_drake.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -52,27 +53,89 @@ def check_effort(A: ArrayLike | None, effort: ArrayLike | None, n: int) -> tuple
     return A[limited], e[limited]
 
 
-@lru_cache(maxsize=64)
-def pattern(n: int, effort_rows: int, extra: bool) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Structural nonzeros of the transposed constraint matrix, column by column, and its CSC indices.
+@dataclass(frozen=True)
+class HoldingForces:
+    """All forces that balance a wrench, whatever the cones say: f = particular(F) + null z with any z.
 
-    Rows: 6 equalities, 2 effort_rows, n normal bounds, (2 bounds of s), n cones of 3. Columns: f, then s where `extra`.
+    With them as variables the balance holds to rounding whatever a solver's tolerance is, there are 3 n - 6 unknowns
+    instead of 3 n, and no equality is left.
+
+    Attributes:
+        null: Orthonormal basis of the forces that cancel, shape (3 n, m); one column of zeros where m would be 0.
+        inverse: Least forces of a unit of each wrench component, -G^+, shape (3 n, 6).
+        beyond: Orthonormal basis of the wrenches that no forces balance, shape (6, 6 - rank).
     """
-    columns, m = 3 * n + extra, 6 + 2 * effort_rows + n + 2 * extra + 3 * n
-    mask = np.zeros((columns, m), dtype=bool)
-    mask[:, : 6 + 2 * effort_rows] = True
-    bounds = 6 + 2 * effort_rows
-    cones = bounds + n + 2 * extra
-    for i in range(n):
-        mask[3 * i + 2, bounds + i] = True
-        mask[3 * i + 2, cones + 3 * i] = True
-        mask[3 * i, cones + 3 * i + 1] = True
-        mask[3 * i + 1, cones + 3 * i + 2] = True
-    if extra:
-        mask[-1, 6:] = False
-        mask[-1, bounds + n : bounds + n + 2] = True
-    indptr = np.concatenate([[0], np.cumsum(mask.sum(axis=1))]).astype(np.int64)
-    return mask, np.nonzero(mask)[1].astype(np.int64), indptr
+
+    null: Array
+    inverse: Array
+    beyond: Array
+
+    def of(self, F: Array) -> Array:
+        """The least forces that balance a wrench, shape (3 n,)."""
+        return self.inverse @ F
+
+    def balanceable(self, F: Array) -> bool:
+        """Whether any forces at all balance a wrench, to 1e-6 of it: two contacts span five dimensions only."""
+        off = self.beyond.T @ F
+        return not off.size or bool(off @ off <= TOLERANCE**2 * (F @ F))
+
+
+def holding_forces(G: Array) -> HoldingForces:
+    """Splits forces by a singular value decomposition of G, whose torques are divided by a length already."""
+    U, sigma, Vt = np.linalg.svd(G)
+    rank = int(np.count_nonzero(sigma > 1e-9 * max(sigma[0], 1.0)))
+    null = Vt[rank:].T if rank < len(Vt) else np.zeros((len(Vt), 1))
+    return HoldingForces(null, -(Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T, U[:, rank:])
+
+
+@lru_cache(maxsize=64)
+def _cone_order(n: int) -> NDArray[np.int64]:
+    """Components (normal, tangent, tangent) of each contact among stacked forces (tangent, tangent, normal)."""
+    return (3 * np.arange(n)[:, None] + np.array([2, 0, 1])).ravel()
+
+
+def cone_rows(mus: Array, M: Array) -> Array:
+    """Rows (mu f_n, f_t1, f_t2) of each contact for f = M x: what second-order cones bound; shape (3 n, ...)."""
+    rows = M[_cone_order(len(mus))]
+    rows[::3] *= mus[:, None] if M.ndim == 2 else mus
+    return rows
+
+
+@lru_cache(maxsize=256)
+def _full_pattern(rows: int, columns: int) -> csc_matrix:
+    """A matrix without structural zeros to copy and fill: the checks of scipy cost more than the rest of building."""
+    return csc_matrix(np.ones((rows, columns)))
+
+
+def full_matrix(M: Array) -> csc_matrix:
+    """A dense matrix in the sparse form that Clarabel takes."""
+    matrix = copy(_full_pattern(*M.shape))
+    matrix.data = M.ravel(order="F")
+    return matrix
+
+
+@lru_cache(maxsize=64)
+def _upper_pattern(k: int) -> csc_matrix:
+    return csc_matrix(np.triu(np.ones((k, k))))
+
+
+def upper_matrix(P: Array) -> csc_matrix:
+    """The upper triangle of a dense symmetric matrix."""
+    matrix = copy(_upper_pattern(len(P)))
+    matrix.data = P.T[np.tril_indices(len(P))]
+    return matrix
+
+
+@lru_cache(maxsize=64)
+def _diagonal_pattern(k: int) -> csc_matrix:
+    return csc_matrix(np.eye(k))
+
+
+def diagonal(values: Array) -> csc_matrix:
+    """Diagonal matrix in the sparse form that Clarabel takes."""
+    matrix = copy(_diagonal_pattern(len(values)))
+    matrix.data = values
+    return matrix
 
 
 @lru_cache(maxsize=8)
@@ -89,52 +152,29 @@ def solver_settings(tolerance: float = 1e-9, equilibrate: bool = False) -> Any:
 
 
 @lru_cache(maxsize=64)
-def program_cones(n: int, effort_rows: int, extra: bool) -> tuple[Any, ...]:
-    """Cones of the rows of `pattern`."""
-    linear = conic.NonnegativeConeT(2 * effort_rows + n + 2 * extra)
-    return (conic.ZeroConeT(6), linear, *(conic.SecondOrderConeT(3) for _ in range(n)))
+def program_cones(linear: int, n: int) -> tuple[Any, ...]:
+    """Cones of rows: first linear inequalities, then n friction cones of three rows each."""
+    bounds = (conic.NonnegativeConeT(linear),) if linear else ()
+    return (*bounds, *(conic.SecondOrderConeT(3) for _ in range(n)))
 
 
-def diagonal(values: Array) -> csc_matrix:
-    """Diagonal matrix in the sparse form that Clarabel takes."""
-    k = len(values)
-    return csc_matrix((values, np.arange(k), np.arange(k + 1)), shape=(k, k))
+def effort_rows(A: Array, effort: Array, M: Array, f: Array) -> tuple[Array, Array]:
+    """Rows and right-hand side of |A (f + M x)| <= effort, each divided by its limit."""
+    # A row with a limit of 0 keeps its own scale: A f <= 0 and >= 0.
+    limited = effort > 0.0
+    unit = np.where(limited, effort, 1.0)
+    rows, at = (A @ M) / unit[:, None], (A @ f) / unit
+    return np.concatenate([rows, -rows]), np.concatenate([limited - at, limited + at])
 
 
-def constraint_rows(G: Array, mus: Array, A: Array, effort: Array, scale: float) -> tuple[Array, Array]:
-    """Dense transposed constraint matrix of f / scale, (3 n, m), and its right-hand side with zero equalities.
-
-    Constraint order of `_pattern` without the extra variable. Efforts are divided by their limits.
-    """
-    n, k = len(mus), len(effort)
-    M = np.zeros((3 * n, 6 + 2 * k + 4 * n))
-    M[:, :6] = G.T
-    b = np.zeros(6 + 2 * k + 4 * n)
-    if k:
-        # A row with a limit of 0 keeps its own scale: A f <= 0 and >= 0.
-        unit = np.where(effort > 0.0, effort / scale, 1.0)
-        M[:, 6 : 6 + k] = (A / unit[:, None]).T
-        M[:, 6 + k : 6 + 2 * k] = -M[:, 6 : 6 + k]
-        b[6 : 6 + k] = b[6 + k : 6 + 2 * k] = np.where(effort > 0.0, 1.0, 0.0)
-    bounds, cones, i = 6 + 2 * k, 6 + 2 * k + n, np.arange(n)
-    M[3 * i + 2, bounds + i] = -1.0
-    M[3 * i + 2, cones + 3 * i] = -mus
-    M[3 * i, cones + 3 * i + 1] = -1.0
-    M[3 * i + 1, cones + 3 * i + 2] = -1.0
-    return M, b
+def norm(v: Array) -> float:
+    """Euclidean length of a vector; `np.linalg.norm` takes longer than what it computes."""
+    return math.sqrt(float(v @ v))
 
 
 def torque_scaling(length: float) -> Array:
     """Factors that divide the torques of a wrench by `length`."""
     return np.array([1.0 / length] * 3 + [1.0] * 3)
-
-
-def polish(G: Array, f: Array, F: Array, mus: Array) -> Array:
-    """Least change of f to G f + F = 0 (the solver leaves about 1e-9), kept only where the cones still hold."""
-    # The residual is about 1e-9: a slightly regularised solve (G may have rank five) leaves nothing of it.
-    exact = f - G.T @ np.linalg.solve(G @ G.T + 1e-9 * np.eye(6), G @ f + F)
-    allowed = 1e-9 * np.linalg.norm(F) + cone_violation(f.reshape(-1, 3), mus).max(initial=0.0)
-    return exact if cone_violation(exact.reshape(-1, 3), mus).max(initial=0.0) <= allowed else f
 
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
@@ -166,13 +206,32 @@ def solve_conic(
     return solver_status(solution), np.asarray(solution.x), solution.iterations
 
 
-def in_span(G: Array, F: Array) -> bool:
-    """Whether any forces at all, within cones or not, balance a wrench, to 1e-6 of it.
+def resolve_conic(
+    solver: Any, P: csc_matrix, q: Array, rows: csc_matrix, right: Array, cones: list[Any]
+) -> tuple[str, Array, Any]:
+    """`solve_conic` for programs that differ in the values of `rows` only: later ones reuse the first one's solver.
 
-    Two contacts span five dimensions only, and nearly infeasible equalities can leave the solver undecided.
+    Args:
+        solver: What the last call returned; None at first.
+        P: Upper triangle of the cost, shape (k, k).
+        q: Linear cost, shape (k,).
+        rows: Constraint matrix, shape (m, k).
+        right: Right-hand side, shape (m,).
+        cones: Clarabel's cones of the rows, in order.
+
+    Returns:
+        Status, x, and the solver for the next program.
     """
-    f = np.linalg.lstsq(G, -F, rcond=1e-9)[0]
-    return bool(np.linalg.norm(G @ f + F) <= TOLERANCE * np.linalg.norm(F))
+    if solver is None:
+        solver = conic.DefaultSolver(P, q, rows, right, cones, solver_settings())
+    else:
+        solver.update(A=rows.data)
+    solution = solver.solve()
+    status = solver_status(solution)
+    if status == "failed":
+        status, x, _ = solve_conic(P, q, rows, right, cones)
+        return status, x, solver
+    return status, np.asarray(solution.x), solver
 
 
 def solver_status(solution: Any) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +10,11 @@ from scipy.sparse import csc_matrix
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
 from xdex_drake.contact.conic import (
     check_grasp,
-    conic,
-    constraint_rows,
+    cone_rows,
+    program_cones,
     solve_conic,
     torque_scaling,
+    upper_matrix,
 )
 
 Array = NDArray[np.float64]
@@ -80,16 +80,16 @@ def wrench_energy(
     G, mus, n = check_grasp(scaling[:, None] * grasp_matrix(p, R, c), mu, length)
     F = scaling * np.asarray(F_ext, dtype=float)
     lo, hi = normal_bounds
-    P = np.triu(G.T @ G + regularization * np.eye(3 * n))
-    M, b = constraint_rows(G, mus, np.zeros((0, 3 * n)), np.zeros(0), 1.0)
-    rows, right = M[:, 6:].T, b[6:]
-    right[:n] = -lo
-    cones: list[Any] = [conic.NonnegativeConeT(n), *(conic.SecondOrderConeT(3) for _ in range(n))]
+    P = G.T @ G + regularization * np.eye(3 * n)
+    identity = np.eye(3 * n)
+    rows, right = [-identity[2::3], -cone_rows(mus, identity)], [np.full(n, -lo), np.zeros(3 * n)]
     if math.isfinite(hi):
-        rows, right = np.vstack([-rows[:n], rows]), np.concatenate([np.full(n, hi), right])
-        cones[0] = conic.NonnegativeConeT(2 * n)
+        rows.insert(0, identity[2::3])
+        right.insert(0, np.full(n, hi))
+    M, b = csc_matrix(np.concatenate(rows)), np.concatenate(right)
+    cones = list(program_cones(M.shape[0] - 3 * n, n))
     # The regularization is weak: forces, hence gradients, are only as good as the root of the gap over it.
-    status, f, _ = solve_conic(csc_matrix(P), G.T @ F, csc_matrix(rows), right, cones, 1e-13)
+    status, f, _ = solve_conic(upper_matrix(P), G.T @ F, M, b, cones, 1e-13)
     if status != "solved":
         nan = np.full((n, 3), np.nan)
         return WrenchEnergy(math.nan, nan.ravel(), nan, nan, False)

@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,13 +17,15 @@ from xdex_drake.contact.conic import (
     STOPPED,
     check_effort,
     check_grasp,
+    cone_rows,
     conic,
-    constraint_rows,
     diagonal,
-    in_span,
-    pattern,
-    polish,
+    effort_rows,
+    full_matrix,
+    holding_forces,
+    norm,
     program_cones,
+    resolve_conic,
     solve_conic,
     torque_scaling,
 )
@@ -119,41 +122,52 @@ def task_margin(
     D = np.atleast_2d(np.asarray(disturbances, dtype=float))
     if D.shape[1:] != (6,) or len(D) == 0:
         raise ConfigError(f"disturbances: shape {D.shape} is not (k, 6) with k >= 1")
-    margins, forces, worst = np.zeros(len(D)), np.zeros((len(D), 3 * n)), 0.0
-    status, reason = ("solved", "") if n else ("infeasible", "there is no contact")
-    if n:
-        scaling = torque_scaling(length)
-        G_n, F_n, D_n = scaling[:, None] * G, scaling * np.asarray(F_gravity, dtype=float), scaling * D
-        scale = max(float(np.linalg.norm(F_n)), float(np.linalg.norm(D_n, axis=1).max()), 1e-9)
-        rows, right = constraint_rows(G_n, mus, A, e, scale)
-        k = len(e)
-        split = 6 + 2 * k + n
-        # Insert the two rows of 0 <= s <= cap before the cones, and the column of s.
-        M = np.zeros((3 * n + 1, rows.shape[1] + 2))
-        M[:-1, :split], M[:-1, split + 2 :] = rows[:, :split], rows[:, split:]
-        b = np.concatenate([right[:split], [0.0, cap], right[split:]])
-        M[-1, split], M[-1, split + 1] = -1.0, 1.0
-        b[:6] = -F_n / scale
-        mask, indices, indptr = pattern(n, k, True)
-        # A whisper of least forces: without it the internal forces of the optimum are unbounded where efforts are.
-        P = diagonal(np.append(np.full(3 * n, 1e-7), 0.0))
-        q = np.append(np.zeros(3 * n), -1.0)
-        for j, d in enumerate(D_n):
-            M[-1, :6] = d / scale
-            A_csc = csc_matrix((M[mask], indices, indptr), shape=(M.shape[1], 3 * n + 1))
-            status, x, _ = solve_conic(P, q, A_csc, b, list(program_cones(n, k, True)))
-            if status == "failed" and not in_span(G_n, F_n):
-                status = "infeasible"
-            if status != "solved":
-                margins[:], forces[:] = 0.0, 0.0
-                reason = "gravity is not held" if status == "infeasible" else STOPPED
-                break
-            margins[j] = max(0.0, float(x[-1]))
-            forces[j] = polish(G_n, scale * x[:-1], F_n + margins[j] * d, mus)
-            residual = np.linalg.norm(G_n @ forces[j] + F_n + margins[j] * d)
-            worst = max(worst, float(residual) / (float(np.linalg.norm(F_n)) or 1.0))
-    margin = float(margins.min()) if status == "solved" else 0.0
-    return TaskMargin(status, margin, margins, forces, worst, reason, CLARABEL, time.perf_counter() - start)
+    if n == 0:
+        return _no_margin("infeasible", "there is no contact", len(D), n, start)
+    scaling = torque_scaling(length)
+    G_n, F_n, D_n = scaling[:, None] * G, scaling * np.asarray(F_gravity, dtype=float), scaling * D
+    scale = max(norm(F_n), float(np.sqrt((D_n * D_n).sum(axis=1)).max()), 1e-9)
+    holding = holding_forces(G_n)
+    if not holding.balanceable(F_n):
+        return _no_margin("infeasible", "gravity is not held", len(D), n, start)
+    # Variables (z, s): f = at + null z + s along_k. Only the column of s differs between disturbances.
+    null, at, along = holding.null, holding.of(F_n / scale), holding.inverse @ (D_n.T / scale)
+    m = null.shape[1]
+    columns = np.concatenate([null, along], axis=1)
+    limits, bound = effort_rows(A, e / scale, columns, at)
+    pushing = slice(2, None, 3) if mus.min() == 0.0 else slice(0)  # else the cones say that contacts push
+    rows = np.concatenate([limits, -columns[pushing], np.zeros((2, m + len(D))), -cone_rows(mus, columns)])
+    right = np.concatenate([bound, at[pushing], [0.0, cap], cone_rows(mus, at)])
+    split = len(rows) - 3 * n - 2
+    rows[split, m:], rows[split + 1, m:] = -1.0, 1.0
+    # A whisper of least forces: without it the internal forces of the optimum are unbounded where efforts are.
+    P, q = diagonal(np.append(np.full(m, 1e-7), 0.0)), np.append(np.zeros(m), -1.0)
+    cones = list(program_cones(split + 2, n))
+    solver: Any = None
+    margins, forces = np.zeros(len(D)), np.zeros((len(D), 3 * n))
+    for j, d in enumerate(D_n):
+        if not holding.balanceable(d):  # not at all: forces for gravity alone
+            keep = np.r_[:split, split + 2 : len(rows)]
+            M = full_matrix(rows[keep, :m])
+            hold = list(program_cones(split, n))
+            status, x, _ = solve_conic(diagonal(np.ones(m)), np.zeros(m), M, right[keep], hold)
+            x = np.append(x, 0.0)
+        else:
+            M = full_matrix(np.concatenate([rows[:, :m], rows[:, m + j : m + j + 1]], axis=1))
+            status, x, solver = resolve_conic(solver, P, q, M, right, cones)
+        if status != "solved":
+            return _no_margin(status, "gravity is not held" if status == "infeasible" else STOPPED, len(D), n, start)
+        margins[j] = max(0.0, float(x[-1]))
+        forces[j] = scale * (at + margins[j] * along[:, j] + null @ x[:-1])
+    unbalanced = forces @ G_n.T + F_n + margins[:, None] * D_n
+    worst = float(np.sqrt((unbalanced * unbalanced).sum(axis=1)).max()) / (norm(F_n) or 1.0)
+    seconds = time.perf_counter() - start
+    return TaskMargin("solved", float(margins.min()), margins, forces, worst, "", CLARABEL, seconds)
+
+
+def _no_margin(status: str, reason: str, k: int, n: int, start: float) -> TaskMargin:
+    seconds = time.perf_counter() - start
+    return TaskMargin(status, 0.0, np.zeros(k), np.zeros((k, 3 * n)), 0.0, reason, CLARABEL, seconds)
 
 
 def support(G: ArrayLike, mu: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:

@@ -16,22 +16,24 @@ import numpy as np
 import qpsolvers
 from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import MathematicalProgram
-from scipy.sparse import csc_matrix
 
 from xdex_drake.contact.conic import (
     CLARABEL,
     STOPPED,
     TOLERANCE,
+    HoldingForces,
     check_effort,
     check_grasp,
-    constraint_rows,
+    cone_rows,
     diagonal,
-    in_span,
-    pattern,
-    polish,
+    effort_rows,
+    full_matrix,
+    holding_forces,
+    norm,
     program_cones,
     solve_conic,
     torque_scaling,
+    upper_matrix,
 )
 from xdex_drake.errors import ConfigError
 
@@ -136,21 +138,23 @@ def balance(
     F = np.asarray(F_ext, dtype=float)
     if n == 0:
         return _no_forces("infeasible", "there is no contact", 0, safety, min_normal, start, n)
-    G_n, F_n = torque_scaling(length)[:, None] * G, torque_scaling(length) * F
-    weights = np.repeat(np.full(n, 1.0) * np.asarray(weight, dtype=float), 3)
+    scaling = torque_scaling(length)
+    G_n, F_n = scaling[:, None] * G, scaling * F
+    holding = holding_forces(G_n)
+    if not holding.balanceable(F_n):
+        reason = "no forces of these contacts balance the wrench, whatever the friction"
+        return _no_forces("infeasible", reason, 0, safety, min_normal, start, n)
+    weights = np.full(n, 1.0) * np.asarray(weight, dtype=float)
     # Efforts seldom bind, and cost half of the time: least forces without them that respect them are the answer.
-    status, f, iterations = _least_forces(G_n, mus, F_n, A[:0], e[:0], min_normal, weights)
+    status, f, iterations = _least_forces(holding, mus, F_n, A[:0], e[:0], min_normal, weights)
     limit = "friction cones"
     if status == "solved" and np.any(np.abs(A @ f) > e):
-        status, f, more = _least_forces(G_n, mus, F_n, A, e, min_normal, weights)
+        status, f, more = _least_forces(holding, mus, F_n, A, e, min_normal, weights)
         limit, iterations = "effort limits", iterations + more
-    if status == "failed" and not in_span(G_n, F_n):
-        status = "infeasible"
     if status != "solved":
         reason = STOPPED if status == "failed" else f"the {limit} allow no forces that balance the wrench"
         return _no_forces(status, reason, iterations, safety, min_normal, start, n)
-    f = polish(G_n, f, F_n, mus)
-    residual = float(np.linalg.norm(G_n @ f + F_n)) / (float(np.linalg.norm(F_n)) or 1.0)
+    residual = norm(G_n @ f + F_n) / (norm(F_n) or 1.0)
     if residual > TOLERANCE:
         reason = f"the solver left a residual of {residual:.1e}"
         return _no_forces("failed", reason, iterations, safety, min_normal, start, n)
@@ -159,19 +163,28 @@ def balance(
 
 
 def _least_forces(
-    G: Array, mus: Array, F: Array, A: Array, effort: Array, min_normal: float, weights: Array
+    holding: HoldingForces, mus: Array, F: Array, A: Array, effort: Array, min_normal: float, weights: Array
 ) -> tuple[str, Array, int]:
     """Status, forces and iterations of the program of `balance`, on validated and scaled values."""
-    n, k = len(mus), len(effort)
-    scale = max(float(np.linalg.norm(F)), min_normal, 1e-9)
-    M, b = constraint_rows(G, mus, A, effort, scale)
-    b[:6] = -F / scale
-    b[6 + 2 * k : 6 + 2 * k + n] = -min_normal / scale
-    mask, indices, indptr = pattern(n, k, False)
-    rows = csc_matrix((M[mask], indices, indptr), shape=(M.shape[1], 3 * n))
-    cones = list(program_cones(n, k, False))
-    status, x, iterations = solve_conic(diagonal(weights), np.zeros(3 * n), rows, b, cones)
-    return status, scale * x, iterations
+    n, null = len(mus), holding.null
+    scale = max(norm(F), min_normal, 1e-9)
+    f = holding.of(F / scale)
+    rows, right = [-cone_rows(mus, null)], [cone_rows(mus, f)]
+    if min_normal > 0.0 or mus.min() == 0.0:  # else the cones say that contacts push
+        rows.insert(0, -null[2::3])
+        right.insert(0, f[2::3] - min_normal / scale)
+    if len(effort):
+        more, bound = effort_rows(A, effort / scale, null, f)
+        rows.insert(0, more)
+        right.insert(0, bound)
+    M, b = (np.concatenate(rows), np.concatenate(right)) if len(rows) > 1 else (rows[0], right[0])
+    if (weights == weights[0]).all():  # the basis is orthonormal, and the least forces orthogonal to it
+        P, q = diagonal(np.ones(null.shape[1])), np.zeros(null.shape[1])
+    else:
+        W = np.repeat(weights / weights.max(), 3)
+        P, q = upper_matrix(null.T @ (W[:, None] * null)), null.T @ (W * f)
+    status, x, iterations = solve_conic(P, q, full_matrix(M), b, list(program_cones(len(M) - 3 * n, n)))
+    return status, scale * (f + null @ x), iterations
 
 
 def _no_forces(
@@ -288,31 +301,30 @@ def balance_linearized(
         ),
         solver=name,
     )
+    if n == 0:
+        return nothing
     G_n, F_n = torque_scaling(length)[:, None] * G, torque_scaling(length) * np.asarray(F_ext, dtype=float)
-    scale = max(float(np.linalg.norm(F_n)), min_normal, 1e-9)
-    # Active-set solvers want independent equalities: keep the row space of G (two contacts have rank five).
-    U, sigma, _ = np.linalg.svd(G_n)
-    rank = int((sigma > 1e-9 * max(sigma.max(initial=0.0), 1.0)).sum())
-    if np.linalg.norm(U[:, rank:].T @ F_n) > 1e-7 * scale:
+    scale = max(norm(F_n), min_normal, 1e-9)
+    holding = holding_forces(G_n)
+    if not holding.balanceable(F_n):
         return replace(nothing, seconds=time.perf_counter() - start)
+    null, at = holding.null, holding.of(F_n / scale)
     angle = 2.0 * np.pi * (np.arange(edges) + 0.5) / edges
     side = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     pyramids = np.zeros((n, edges, n, 3))
     i = np.arange(n)
     pyramids[i, :, i, :2] = side
     pyramids[i, :, i, 2] = -mus[:, None] * math.cos(math.pi / edges)
-    unit = np.where(e > 0.0, e / scale, 1.0)
-    rows = np.vstack([pyramids.reshape(n * edges, 3 * n), A / unit[:, None], -A / unit[:, None]])
-    right = np.concatenate([np.zeros(n * edges), *[np.where(e > 0.0, 1.0, 0.0)] * 2])
-    lower = np.tile([-np.inf, -np.inf, min_normal / scale], n)
-    problem = qpsolvers.Problem(
-        np.eye(3 * n), np.zeros(3 * n), rows, right, U[:, :rank].T @ G_n, -U[:, :rank].T @ F_n / scale, lower, None
-    )
+    pyramids = pyramids.reshape(n * edges, 3 * n)
+    limits, bound = effort_rows(A, e / scale, null, at)
+    rows = np.concatenate([pyramids @ null, limits, -null[2::3]])
+    right = np.concatenate([-pyramids @ at, bound, at[2::3] - min_normal / scale])
+    problem = qpsolvers.Problem(np.eye(null.shape[1]), np.zeros(null.shape[1]), rows, right)
     solution = qpsolvers.solve_problem(problem, solver=solver)
     if not solution.found or solution.x is None:
         return replace(nothing, seconds=time.perf_counter() - start)
-    f = polish(G_n, scale * solution.x, F_n, mus)
-    residual = float(np.linalg.norm(G_n @ f + F_n)) / (float(np.linalg.norm(F_n)) or 1.0)
+    f = scale * (at + null @ solution.x)
+    residual = norm(G_n @ f + F_n) / (norm(F_n) or 1.0)
     if residual > TOLERANCE:
         return replace(nothing, status="failed", reason=f"the solver left a residual of {residual:.1e}")
     return Balance("solved", f, residual, "", safety, min_normal, name, 0, time.perf_counter() - start)
