@@ -5,8 +5,11 @@ box or a convex hull is covered from inside by a greedy choice: each sphere bulg
 the one that covers most of the surface left comes first.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import cdist
 
 from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
 
@@ -51,8 +54,30 @@ def _spheres_of(k: int, geometry: tuple[Geometry, ...]) -> Array:
         return np.array([[*shape.center, shape.radius]])
     if isinstance(shape, Capsule):
         return _spheres_of_capsule(shape)
-    others = geometry[:k] + geometry[k + 1 :]
-    return _spheres_of_solid(shape, others)
+    # A box or hull takes some 50 ms; reading, writing and varying a hand all ask for the same ones.
+    return _spheres_of_known_solid(_Key(k, geometry)).copy()
+
+
+class _Key:
+    """A primitive among others, by value."""
+
+    def __init__(self, k: int, geometry: tuple[Geometry, ...]) -> None:
+        self.k, self.geometry = k, geometry
+        values = [[type(shape).__name__, *map(np.asarray, vars(shape).values())] for shape in geometry]
+        self.value = (k, *(v if isinstance(v, str) else v.tobytes() for shape in values for v in shape))
+
+    def __hash__(self) -> int:
+        return hash(self.value)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self.value == other.value
+
+
+@lru_cache(maxsize=256)
+def _spheres_of_known_solid(key: _Key) -> Array:
+    shape = key.geometry[key.k]
+    assert isinstance(shape, Box | Convex)
+    return _spheres_of_solid(shape, key.geometry[: key.k] + key.geometry[key.k + 1 :])
 
 
 def _spheres_of_capsule(capsule: Capsule) -> Array:
@@ -82,20 +107,23 @@ def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Arra
     if len(points) == 0 or len(centers) == 0:
         center = corners.mean(axis=0)
         return np.array([[*center, float(np.min(offsets - normals @ center))]])
-    gaps = np.linalg.norm(points[None] - centers[:, None], axis=-1) - radii[:, None]
+    gaps = cdist(centers, points) - radii[:, None]
     covers = gaps <= REACH
     # Ties, of which a regular grid has many, go to the sphere that comes nearest to the points it covers.
     score = 1e-3 * np.clip(REACH - gaps, 0.0, 2.0 * REACH) / REACH
     chosen: list[int] = []
-    worth = covers * (1.0 + score)
+    # Rounded to binary fractions, so that sums are exact, and the same on every machine.
+    worth = np.round(covers * (1.0 + score) * 2.0**30) / 2.0**30
     left = np.ones(len(points), dtype=bool)
+    gain = worth.sum(axis=1)
     while left.sum() > 0.01 * len(points) and len(chosen) < MAX_PER_SOLID:
-        gain = worth @ left
         best = int(np.argmax(gain))
-        if gain[best] == 0.0:
+        if gain[best] <= 0.5:  # less than one point; what is there is rounding
             break
         chosen.append(best)
-        left &= ~covers[best]
+        newly = left & covers[best]
+        gain -= worth[:, newly].sum(axis=1)
+        left &= ~newly
     return np.column_stack([centers[chosen], radii[chosen]])
 
 
