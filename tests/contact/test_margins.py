@@ -76,6 +76,20 @@ def test_friction_raises_and_effort_limits_lower_the_task_margin():
         assert np.all(np.diff(by_friction) >= -1e-6) and np.all(np.diff(by_effort) >= -1e-6)
 
 
+def test_pinches_resist_what_their_line_allows():
+    cvxpy = pytest.importorskip("cvxpy")
+    p, normals = ring_grasp(2)
+    G = matrix(p, normals)
+    result = task_margin(G, MU, F_EXT, PUSHES, np.eye(6), np.full(6, 2.0), length=RADIUS)
+    expected = task_reference(cvxpy, G, MU, F_EXT, PUSHES, RADIUS, np.eye(6), np.full(6, 2.0))
+    assert result.status == "solved" and result.margin == pytest.approx(expected, abs=1e-5)
+    # A torque about the line of the contacts is not resisted at all; gravity is, beside it.
+    twist = np.append(p[1] - p[0], np.zeros(3))
+    result = task_margin(G, MU, F_EXT, [twist, PUSHES[0]], length=RADIUS, cap=10.0)
+    assert result.status == "solved" and result.margin == result.margins[0] == 0.0 and result.margins[1] > 1.0
+    assert G @ result.forces[0] + F_EXT == pytest.approx(0.0, abs=1e-12)
+
+
 def test_pushes_are_the_weight_along_each_axis():
     assert PUSHES.sum(axis=0) == pytest.approx(0.0)
     assert np.linalg.norm(PUSHES, axis=1) == pytest.approx(MASS * 9.81)
@@ -153,6 +167,18 @@ def test_ball_margin_laws(seed, n):
     assert larger.lower <= base.upper + 1e-9 and base.lower <= larger.upper + 1e-9
     assert ball_margin(matrix(p, normals), 1.5 * MU, length=RADIUS).upper >= base.lower - 1e-9
     assert epsilon_linearized(matrix(p, normals), MU, length=RADIUS, edges=6) <= base.upper + 1e-9
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.6])
+def test_witnesses_where_the_hull_has_flat_faces(mu):
+    # The edges of all cones lie in one plane: that of a unit sum of normal forces.
+    for n in (3, 4, 8):
+        p, normals = ring_grasp(n)
+        G = scaled(matrix(p, normals, [0.001, 0.002, 0.0]), RADIUS)
+        result = ball_margin(G, mu)
+        axes = np.kron(np.eye(6), [[1.0], [-1.0]])
+        assert result.witness_forces @ G.T == pytest.approx(result.lower * axes, abs=1e-9)
+        assert cone_violation(result.witness_forces.reshape(12, n, 3), mu).max() <= 1e-9
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.6])

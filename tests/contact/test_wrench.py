@@ -92,7 +92,7 @@ def test_against_cvxpy_drake_and_pyramids(n):
         assert in_drake.GetSolution(program.decision_variables()) == pytest.approx(result.f, abs=2e-4)
         assert cone_violation(result.f.reshape(-1, 3), MU).max() <= 1e-8
         assert np.all(np.abs(A @ result.f) <= effort + 1e-8)
-        assert norm(scaled((G @ result.f + F_EXT)[:, None], RADIUS)) <= 1e-8
+        assert norm(scaled((G @ result.f + F_EXT)[:, None], RADIUS)) <= 1e-12  # by construction, not by tolerance
         if linear.solved:
             assert norm(linear.f) >= norm(result.f) - 1e-8
             assert cone_violation(linear.f.reshape(-1, 3), MU).max() <= 1e-8
@@ -127,6 +127,19 @@ def test_weights_move_force_between_contacts():
     G = matrix(*ring_grasp(3))
     f = balance(G, MU, F_EXT, length=RADIUS, weight=[100.0, 1.0, 1.0]).f.reshape(3, 3)
     assert np.linalg.norm(f[0]) <= np.linalg.norm(f[1]) + 1e-9
+
+
+def test_weighted_forces_against_cvxpy():
+    cvxpy = pytest.importorskip("cvxpy")
+    rng = np.random.default_rng(14)
+    weights = np.array([5.0, 1.0, 2.0, 0.5])
+    G = matrix(*ring_grasp(4)) + 1e-4 * rng.normal(size=(6, 12))
+    f = cvxpy.Variable(12)
+    rows = [G @ f + F_EXT == 0, *[cvxpy.norm(f[3 * i : 3 * i + 2]) <= MU * f[3 * i + 2] for i in range(4)]]
+    cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(cvxpy.multiply(np.sqrt(np.repeat(weights, 3)), f))), rows).solve(
+        "CLARABEL"
+    )
+    assert balance(G, MU, F_EXT, length=RADIUS, weight=weights).f == pytest.approx(f.value, abs=1e-4)
 
 
 def test_squeeze_steps_down_only_as_far_as_needed():

@@ -87,7 +87,7 @@ def wrench_energy(
         rows.insert(0, identity[2::3])
         right.insert(0, np.full(n, hi))
     M, b = csc_matrix(np.concatenate(rows)), np.concatenate(right)
-    cones = list(program_cones(M.shape[0] - 3 * n, n))
+    cones = list(program_cones(len(b) - 3 * n, n))
     # The regularization is weak: forces, hence gradients, are only as good as the root of the gap over it.
     status, f, _ = solve_conic(upper_matrix(P), G.T @ F, M, b, cones, 1e-13)
     if status != "solved":

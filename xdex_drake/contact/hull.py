@@ -13,13 +13,12 @@ from scipy.linalg import qr
 Array = NDArray[np.float64]
 
 _EPSILON = 1e-11
-_KEY_BITS = 12  # bits of a vertex index in the key of a ridge: at most 4096 points, at most 6 dimensions
 
 
 @lru_cache(maxsize=8)
-def _digits(k: int) -> NDArray[np.int64]:
-    """Place values of k vertex indices in a key."""
-    return np.int64(1) << (_KEY_BITS * np.arange(k, dtype=np.int64))
+def _labels(capacity: int) -> NDArray[np.int64]:
+    """A random number for each point: their sum over a ridge's points is the ridge's key."""
+    return np.random.default_rng(0).integers(2**62, size=capacity)
 
 
 @lru_cache(maxsize=8)
@@ -63,6 +62,7 @@ class GrowingHull:
         self.planes = np.zeros((capacity, d + 1))
         self.offsets = np.full(capacity, np.inf)
         self.vertices = np.zeros((capacity, d), dtype=np.int64)
+        self._dead = np.append(np.zeros(d), -1.0)  # a plane that no point sees
         self.neighbors = np.zeros((capacity, d), dtype=np.int64)  # facet beyond the ridge opposite vertex j
         # On facet i the barycentric coordinate of point i, affine in x, is zero; beyond it is negative.
         barycentric = np.linalg.inv(np.vstack([self.points[: d + 1].T, np.ones(d + 1)]))
@@ -81,21 +81,22 @@ class GrowingHull:
         """
         d, size = len(point), self.size
         height = self.planes[:size, :d] @ point + self.planes[:size, d]
-        visible = (height > _EPSILON) & (self.offsets[:size] < np.inf)
-        seen = np.flatnonzero(visible)
+        seen = np.flatnonzero(height > _EPSILON)
         if len(seen) == 0:
             return False
         # Horizon ridges: between a visible facet and a hidden one.
-        row, slot = np.nonzero(~visible[self.neighbors[seen]])
-        inner, outer = seen[row], self.neighbors[seen[row], slot]
+        beyond = self.neighbors[seen]
+        row, slot = np.nonzero(height[beyond] <= _EPSILON)
+        inner, outer = seen[row], beyond[row, slot]
         m = len(row)
         ridges = self.vertices[inner[:, None], _others(d)[slot]]  # (m, d - 1)
-        # Pair up the new facets over the ridges that contain the new point: d - 1 keys each, each key twice.
-        digits = _digits(d - 2)
-        keys = ridges[:, _others(d - 1)] @ digits  # (m, d - 1)
-        order = np.argsort(keys, axis=None)
-        ranked = keys.ravel()[order].reshape(-1, 2) if keys.size % 2 == 0 else None
-        if ranked is None or np.any(ranked[:, 0] != ranked[:, 1]) or np.any(ranked[1:, 0] == ranked[:-1, 0]):
+        # Pair up the new facets over the ridges that contain the new point: d - 1 keys each, each key twice. Two ridges
+        # with the same key by chance would be noticed, and have a probability of 1e-14.
+        labels = _labels(len(self.points))[ridges]
+        keys = (labels.sum(axis=1)[:, None] - labels).ravel()
+        order = keys.argsort()
+        ranked = keys[order]
+        if len(ranked) % 2 or (ranked[::2] != ranked[1::2]).any() or (ranked[2::2] == ranked[:-2:2]).any():
             return False  # rounding broke the horizon: leave the point out, the hull stays a valid inner one
         self._reserve(m)
         new = np.arange(size, size + m)
@@ -110,7 +111,7 @@ class GrowingHull:
         self.neighbors[size + first // (d - 1), first % (d - 1)] = size + second // (d - 1)
         self.neighbors[size + second // (d - 1), second % (d - 1)] = size + first // (d - 1)
         self.neighbors[outer, (self.neighbors[outer] == inner[:, None]).argmax(axis=1)] = new
-        self.offsets[seen] = np.inf
+        self.planes[seen], self.offsets[seen] = self._dead, np.inf
         self.points[self.count] = point
         self.count, self.size = self.count + 1, size + m
         return True
@@ -119,17 +120,17 @@ class GrowingHull:
         """Index of the facet whose plane has the least offset from 0."""
         return int(self.offsets[: self.size].argmin())
 
-    def facets_along(self, direction: Array) -> NDArray[np.int64]:
-        """Indices of the facets through whose planes a ray from 0 leaves the hull, 0 being inside.
-
-        More than one where a flat face of more than d points is split into simplices.
+    def reach(self, directions: Array) -> Array:
+        """Distance along rays from 0, which is inside, to each facet's plane; inf where a ray does not cross it.
 
         Args:
-            direction: Direction of the ray, shape (d,).
+            directions: Directions of the rays, shape (k, d).
+
+        Returns:
+            Distances in units of the directions' lengths, shape (k, size).
         """
-        along = self.planes[: self.size, :-1] @ direction
-        reach = np.where(along > 1e-12, self.offsets[: self.size] / np.maximum(along, 1e-12), np.inf)
-        return np.flatnonzero(reach <= reach.min() * (1.0 + 1e-9))
+        along = directions @ self.planes[: self.size, :-1].T
+        return np.where(along > 1e-12, self.offsets[: self.size] / np.maximum(along, 1e-12), np.inf)
 
     def _reserve(self, m: int) -> None:
         """Make room for m facets and one point."""

@@ -244,20 +244,33 @@ def ball_margin(
         values, _ = _support(G, mus, np.vstack([U.T, -U.T]))
         direction = np.vstack([U.T, -U.T])[int(values.argmin())]
         return BallMargin(0.0, float(values.min()), direction, np.zeros((12, 3 * n)), 0, time.perf_counter() - start)
-    forces = [*seeds[hull.start]]
+    columns, forces = np.ascontiguousarray(G.reshape(6, n, 3).transpose(1, 0, 2)), [*seeds[hull.start]]
     for iterations in range(1, max_iterations + 1):  # noqa: B007
         nearest = hull.nearest()
         u = hull.planes[nearest, :6]
         lower = float(hull.offsets[nearest])
-        value, f = _support(G, mus, u[None])
-        if value[0] < upper:
-            upper, direction = float(value[0]), u.copy()
-        if upper - max(lower, 0.0) <= tol or not hull.add(G @ f[0]):
+        # The support as in `_support`, for one direction.
+        g = u @ columns  # (n, 3)
+        tangent = np.hypot(g[:, 0], g[:, 1])
+        values = mus * tangent + g[:, 2]
+        best = int(values.argmax())
+        if values[best] < upper:
+            upper, direction = max(0.0, float(values[best])), u.copy()
+        if upper - max(lower, 0.0) <= tol:
             break
-        forces.append(f[0])
+        slope = mus[best] / max(float(tangent[best]), 1e-300)
+        edge = np.array([slope * g[best, 0], slope * g[best, 1], 1.0])
+        if not hull.add(columns[best] @ edge):
+            break
+        f = np.zeros(3 * n)
+        f[3 * best : 3 * best + 3] = edge
+        forces.append(f)
     lower = min(max(lower, 0.0), upper)
     witness = _witness(G, np.array(forces), lower, hull)
     return BallMargin(lower, upper, direction, witness, iterations, time.perf_counter() - start)
+
+
+_AXES: Any = np.kron(np.eye(6), [[1.0], [-1.0]])
 
 
 def _witness(G: Array, forces: Array, lower: float, hull: GrowingHull) -> Array:
@@ -266,21 +279,24 @@ def _witness(G: Array, forces: Array, lower: float, hull: GrowingHull) -> Array:
     if lower <= 0.0:
         return result
     wrenches = forces @ G.T
-    for row in range(12):
-        axis = np.zeros(6)
-        axis[row // 2] = 1.0 if row % 2 == 0 else -1.0
-        # The facet that the ray along the axis leaves through: the one where its vertices' weights are nonnegative.
-        vertices = hull.vertices[hull.facets_along(axis)]
-        try:
-            solutions = np.linalg.solve(np.swapaxes(wrenches[vertices], 1, 2), (lower * axis)[:, None])[..., 0]
-            best = int(solutions.min(axis=1).argmax())
-            weights, vertices = solutions[best], vertices[best]
-        except np.linalg.LinAlgError:
-            weights = np.full(6, -1.0)
-        if weights.min() < -1e-12:  # a sliver: any nonnegative combination does
+    # The facet that the ray along an axis leaves through: its vertices' weights are nonnegative. A flat face is split
+    # into several facets, of which one holds the ray.
+    reach = hull.reach(_AXES)
+    rows, facets = np.nonzero(reach <= reach.min(axis=1, keepdims=True) * (1.0 + 1e-9))
+    vertices = hull.vertices[facets]
+    try:
+        matrices = np.swapaxes(wrenches[vertices], 1, 2)
+        weights = np.linalg.solve(matrices, lower * _AXES[rows, :, None])[..., 0]
+    except np.linalg.LinAlgError:
+        weights = np.full((len(rows), 6), -1.0)
+    for row, axis in enumerate(_AXES):
+        tried = slice(*np.searchsorted(rows, [row, row + 1]))
+        best = int(weights[tried].min(axis=1).argmax()) + tried.start
+        if weights[best].min() >= -1e-12:
+            result[row] = weights[best] @ forces[vertices[best]]
+        else:  # a sliver: any nonnegative combination does
             stacked = np.vstack([np.c_[wrenches.T, np.zeros(6)], np.ones(len(forces) + 1)])
-            weights, vertices = nnls(stacked, np.append(lower * axis, 1.0))[0][:-1], np.arange(len(forces))
-        result[row] = weights @ forces[vertices]
+            result[row] = nnls(stacked, np.append(lower * axis, 1.0))[0][:-1] @ forces
     return result
 
 
