@@ -107,13 +107,15 @@ def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Arra
     if len(points) == 0 or len(centers) == 0:
         center = corners.mean(axis=0)
         return np.array([[*center, float(np.min(offsets - normals @ center))]])
-    gaps = cdist(centers, points) - radii[:, None]
+    gaps = cdist(centers, points)
+    gaps -= radii[:, None]
     covers = gaps <= REACH
     # Ties, of which a regular grid has many, go to the sphere that comes nearest to the points it covers.
-    score = 1e-3 * np.clip(REACH - gaps, 0.0, 2.0 * REACH) / REACH
+    score = 1e-3 * np.clip(REACH - gaps[covers], 0.0, 2.0 * REACH) / REACH
     chosen: list[int] = []
     # Rounded to binary fractions, so that sums are exact, and the same on every machine.
-    worth = np.round(covers * (1.0 + score) * 2.0**30) / 2.0**30
+    worth = np.zeros_like(gaps)
+    worth[covers] = np.round((1.0 + score) * 2.0**30) / 2.0**30
     left = np.ones(len(points), dtype=bool)
     gain = worth.sum(axis=1)
     while left.sum() > 0.01 * len(points) and len(chosen) < MAX_PER_SOLID:

@@ -35,6 +35,9 @@ from xdex_drake.hand.spheres import fit_spheres
 SHORTEST = 8e-3
 """A link whose next joint is nearer than this [m] is a hub or a stub; a copy of it would share its axis."""
 
+GAP = 5e-3
+"""Between a link and its copy there is no wider gap than this on either side of their joint [m]."""
+
 KINDS = ("scale_hand", "scale_links", "duplicate_link", "remove_link", "remove_finger", "merge_links")
 
 
@@ -259,7 +262,7 @@ def duplicate_link(hand: Hand, name: str, *, coupled: bool = False) -> Hand:
         The hand; the copy and its joint are named after the original, with a number.
 
     Raises:
-        ConfigError: The link is not part of a finger, carries several links, or is too short for a copy.
+        ConfigError: The link is not part of a finger, carries several links, or has no shape to copy.
     """
     k = _require_link(hand, name)
     if k == 0 or not any(name in finger.links for finger in hand.fingers):
@@ -273,6 +276,8 @@ def duplicate_link(hand: Hand, name: str, *, coupled: bool = False) -> Hand:
     end = _end(hand, name)
     if np.linalg.norm(end) < SHORTEST:
         raise ConfigError(f"hand {hand.name}: link {name!r} is a hub; duplicate a longer one")
+    if max(_gap(link, np.zeros(3)), _gap(link, end)) > GAP:
+        raise ConfigError(f"hand {hand.name}: link {name!r} has no shape where its joints are; duplicate another")
     copy_name = _free_name(name, [other.name for other in hand.links])
     joint_name = _free_name(joint.name, [other.name for other in hand.joints])
     law = joint.coupling
@@ -556,6 +561,12 @@ def _end(hand: Hand, name: str) -> Array:
         return finger.p_LTip
     gaps = np.linalg.norm(spheres[:, :3] - finger.p_LTip, axis=1) - spheres[:, 3]
     return spheres[int(np.argmin(gaps)), :3].copy()
+
+
+def _gap(link: Link, p: Array) -> float:
+    """Distance of a point of a link's frame from its spheres [m]."""
+    gaps = np.linalg.norm(link.spheres[:, :3] - p, axis=1) - link.spheres[:, 3]
+    return float(np.min(gaps, initial=np.inf))
 
 
 def _surface_beyond(link: Link, p: Array) -> Array:
