@@ -212,7 +212,8 @@ def grow(vertices: Array, faces: Faces, distance: float) -> Part:
     Args:
         vertices: Vertices [m], shape (n, 3).
         faces: Outward triangles, shape (m, 3).
-        distance: How far the faces move [m]; a sharp vertex moves by at most three times as much.
+        distance: How far the faces move [m], inwards where negative; a sharp vertex moves by at most three times as
+            much.
 
     Returns:
         Vertices (k, 3) and outward faces (l, 3) of the hull of the moved vertices.
@@ -224,7 +225,7 @@ def grow(vertices: Array, faces: Faces, distance: float) -> Part:
     for k in range(len(vertices)):
         around = normals[(faces == k).any(axis=1)]
         step = np.linalg.lstsq(around, np.full(len(around), distance), rcond=0.05)[0]
-        moved[k] += step * min(1.0, 3.0 * distance / max(float(np.linalg.norm(step)), 1e-30))
+        moved[k] += step * min(1.0, 3.0 * abs(distance) / max(float(np.linalg.norm(step)), 1e-30))
     return convex_hull(moved, limit=len(moved), tolerance=0.0)
 
 

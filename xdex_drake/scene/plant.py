@@ -10,6 +10,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
+    ContactModel,
     DiscreteContactApproximation,
     MultibodyPlant,
 )
@@ -149,6 +150,7 @@ def build_plant(
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=settings.time_step)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
+    plant.set_contact_model(ContactModel.kPoint)
     instance = add_hand(
         plant,
         hand,
@@ -179,8 +181,8 @@ def build_plant(
     plant.set_gravity_enabled(instance, False)
     object_body = None
     if scene is not None:
-        object_body = add_object(plant, scene.object, point_stiffness=settings.point_stiffness)
-        add_table(plant, settings.friction, point_stiffness=settings.point_stiffness)
+        object_body = add_object(plant, scene.object, point_stiffness=settings.point_stiffness, X_WO=scene.X_WO)
+        add_table(plant, settings.friction, [object_body], point_stiffness=settings.point_stiffness)
     plant.Finalize()
     if extend is not None:
         extend(builder, plant, scene_graph)

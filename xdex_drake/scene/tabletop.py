@@ -93,7 +93,7 @@ def _settle(object: ObjectModel, X_WO: RigidTransform) -> RigidTransform:
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.005)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
     body = add_object(plant, object)
-    add_table(plant, object.friction)
+    add_table(plant, object.friction, [body])
     plant.Finalize()
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
