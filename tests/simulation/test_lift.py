@@ -11,7 +11,7 @@ from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import FAILURE_REASONS, lift_rig, simulate_lift, targets
+from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
 from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp
 from xdex_drake.simulation.protocol import LIFT
 
@@ -108,3 +108,27 @@ def test_targets_start_at_the_pregrasp_and_end_at_the_squeeze(grasps):
     assert np.allclose(q, grasps[0].q_pregrasp)
     q, offset = targets(grasps[0], LIFT, LIFT.duration_s)
     assert np.allclose(q, grasps[0].q_squeeze) and np.allclose(offset, [0.0, 0.0, LIFT.rise_m])
+
+
+def test_a_shared_rig_gives_the_same_numbers(grasps, verdicts, hand, scene):
+    rig = shared_rig(hand, scene)
+    assert shared_rig(load_hand("allegro"), make_scene(load_object("can"))) is rig
+    assert shared_rig(hand, make_scene(load_object("can"), seed=3)) is not rig
+    assert shared_rig(hand, scene, protocol=replace(LIFT, rise_m=0.3)) is not rig
+    for grasp, verdict in zip(grasps[::-1], verdicts[::-1], strict=True):
+        assert replace(lift(grasp, hand, scene), seconds=0.0) == replace(verdict, seconds=0.0)
+    for mass in (0.11, 0.12, 0.13, 0.14):
+        shared_rig(hand, make_scene(load_object("can", mass=mass)))
+    assert shared_rig(hand, scene) is not rig, "rigs are kept without bound"
+
+
+def test_the_sources_play_the_targets(rig, grasps):
+    simulate_lift(rig, grasps[0])
+    context = rig.bench.diagram.CreateDefaultContext()
+    for t in np.linspace(0.0, LIFT.duration_s, 50):
+        context.SetTime(max(t - LIFT.plant.time_step, 0.0))
+        q, offset = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step))
+        for source, value in ((rig.hand_source, q), (rig.carriage_source, offset)):
+            played = source.get_output_port().Eval(source.GetMyContextFromRoot(context))
+            np.testing.assert_allclose(played[: len(value)], value, atol=1e-12)
+            np.testing.assert_array_equal(played[len(value) :], 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +15,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 from xdex_drake.grasp import Array, Grasp, Lift
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
@@ -34,6 +38,13 @@ FAILURE_REASONS = (
 )
 
 
+CHECK_STEPS = 20
+"""Steps of the simulation between two looks at it."""
+
+RIGS = 4
+"""How many rigs `shared_rig` keeps; one takes a few megabytes."""
+
+
 @dataclass(frozen=True)
 class LiftRig:
     """The plant of one hand and one scene, ready to lift any number of grasps.
@@ -42,11 +53,15 @@ class LiftRig:
         protocol: The protocol.
         bench: Hand on its carriage, object and table.
         simulator: Simulator of `bench.diagram`.
+        hand_source: Plays the joints' targets and their velocities, zero.
+        carriage_source: The same of the carriage.
     """
 
     protocol: LiftProtocol
     bench: ScenePlant
     simulator: Simulator
+    hand_source: TrajectorySource
+    carriage_source: TrajectorySource
 
 
 def lift_rig(
@@ -67,8 +82,44 @@ def lift_rig(
     Returns:
         The rig; lifts on one rig do not influence each other.
     """
-    bench = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=extend)
-    return LiftRig(protocol, bench, Simulator(bench.diagram))
+    sources: list[TrajectorySource] = []
+
+    def add_sources(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
+        # Played in C++: a call of Python for each step would cost a tenth of the lift.
+        for instance in (plant.GetModelInstanceByName(hand.name), plant.GetModelInstanceByName("carriage")):
+            size = 2 * plant.num_actuated_dofs(instance)
+            source = TrajectorySource(PiecewisePolynomial(np.zeros((size, 1))))
+            builder.AddSystem(source)
+            builder.Connect(source.get_output_port(), plant.get_desired_state_input_port(instance))
+            sources.append(source)
+        if extend is not None:
+            extend(builder, plant, scene_graph)
+
+    bench = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=add_sources)
+    return LiftRig(protocol, bench, Simulator(bench.diagram), *sources)
+
+
+_rigs: OrderedDict[tuple[str, str, float, float, bytes, LiftProtocol], LiftRig] = OrderedDict()
+
+
+def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
+    """The rig of a hand and a scene, built once and kept; verdicts are the same as on a new one, to the last bit.
+
+    Args:
+        hand: The hand.
+        scene: The object on its table.
+        protocol: The protocol.
+
+    Returns:
+        A rig of this process; at most `RIGS` are kept, those that were used last. Not for use by several threads.
+    """
+    model = scene.object
+    key = (hand_digest(hand), model.digest, model.mass, model.friction, scene.X_WO.GetAsMatrix34().tobytes(), protocol)
+    rig = _rigs.pop(key, None) or lift_rig(hand, scene, protocol=protocol)
+    _rigs[key] = rig
+    while len(_rigs) > RIGS:
+        _rigs.popitem(last=False)
+    return rig
 
 
 @dataclass(frozen=True)
@@ -141,6 +192,21 @@ def targets(grasp: Grasp, protocol: LiftProtocol, t: float) -> tuple[Array, Arra
     return q, (1.0 - close) * back + np.array([0.0, 0.0, rise * protocol.rise_m])
 
 
+def _play_targets(rig: LiftRig, grasp: Grasp) -> None:
+    """Hands the targets of a lift to the sources of a rig."""
+    assert grasp.q_pregrasp is not None and grasp.q_squeeze is not None and grasp.X_WH_pregrasp is not None
+    protocol = rig.protocol
+    spans = [protocol.close_s, protocol.squeeze_s, protocol.rise_s]
+    # The controller is implicit: a step aims at the targets of its end, so that they are played one step early.
+    breaks = np.concatenate([[0.0], np.cumsum(spans)]) - protocol.plant.time_step
+    q = np.column_stack([grasp.q_pregrasp, grasp.q, grasp.q_squeeze, grasp.q_squeeze])
+    back, top = grasp.X_WH_pregrasp.translation() - grasp.X_WH.translation(), np.array([0.0, 0.0, protocol.rise_m])
+    offset = np.column_stack([back, np.zeros(3), np.zeros(3), top])
+    for source, samples in ((rig.hand_source, q), (rig.carriage_source, offset)):
+        samples = np.concatenate([samples, np.zeros_like(samples)])
+        source.UpdateTrajectory(PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples)))
+
+
 def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     """Simulates one lift.
 
@@ -159,12 +225,9 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     context.SetTime(0.0)
     plant = bench.plant
     plant_context = plant.GetMyMutableContextFromRoot(context)
-    instance = bench.carriage[0].model_instance()
-    hand_port = plant.get_desired_state_input_port(bench.hand_instance)
-    carriage_port = plant.get_desired_state_input_port(instance)
+    _play_targets(rig, grasp)
     # The mount stands at the grasp; the pre-grasp is an offset of the carriage.
     bench.set_wrist(plant_context, grasp.X_WH)
-    n = len(grasp.q)
     q, offset = targets(grasp, protocol, 0.0)
     bench.set_joints(plant_context, q)
     for joint, value in zip(bench.carriage, offset, strict=True):
@@ -173,11 +236,6 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     assert bench.object_body is not None and bench.scene is not None
     body, p_OOcm = bench.object_body, bench.scene.object.p_OOcm
 
-    def command(t: float) -> None:
-        q, offset = targets(grasp, protocol, t)
-        hand_port.FixValue(plant_context, np.concatenate([q, np.zeros(n)]))
-        carriage_port.FixValue(plant_context, np.concatenate([offset, np.zeros(3)]))
-
     def center_height() -> float:
         X_WO = plant.EvalBodyPoseInWorld(plant_context, body)
         return float((X_WO @ p_OOcm)[2])
@@ -185,7 +243,6 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     def result(reason: str, height: float, tips: tuple[str, ...]) -> Lift:
         return Lift(protocol.name, reason == "", reason, height, tips, time.perf_counter() - start)
 
-    command(0.0)
     z0 = center_height()
     begin = _touching_at_rest(bench, plant_context)
     if begin.object_links:
@@ -193,24 +250,22 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     if begin.table_links:
         return result("table_collision", 0.0, ())
     step = protocol.plant.time_step
-    squeezed_at = protocol.close_s + protocol.squeeze_s
-    after_squeeze: _Touch | None = None
+    squeezed = round((protocol.close_s + protocol.squeeze_s) / step)
+    # Nothing that is left behind by half the rise comes up again.
+    decided = squeezed + round(0.6 * protocol.rise_s / step)
+    total = round(protocol.duration_s / step)
+    after_squeeze = _Touch(frozenset(), frozenset())
     hit_table = False
     try:
         simulator.Initialize()
-        for k in range(round(protocol.duration_s / step)):
-            t = k * step
-            command(t + step)
-            simulator.AdvanceTo((k + 1) * step)
-            if k % 20 == 0:
-                if time.process_time() - cpu_start > protocol.cpu_limit_s:
-                    return result("timeout", center_height() - z0, ())
-                if t <= squeezed_at:
-                    hit_table = hit_table or bool(_touching(bench, plant_context).table_links)
-            if after_squeeze is None and t >= squeezed_at:
+        for k in sorted({*range(CHECK_STEPS, total, CHECK_STEPS), squeezed, decided, total}):
+            simulator.AdvanceTo(k * step)
+            if time.process_time() - cpu_start > protocol.cpu_limit_s:
+                return result("timeout", center_height() - z0, ())
+            if k <= squeezed:
                 after_squeeze = _touching(bench, plant_context)
-            # Nothing that is left behind by half the rise comes up again.
-            if t >= squeezed_at + 0.6 * protocol.rise_s and center_height() - z0 < 0.1 * protocol.rise_m:
+                hit_table = hit_table or bool(after_squeeze.table_links)
+            if k >= decided and center_height() - z0 < 0.1 * protocol.rise_m:
                 break
     except RuntimeError as error:
         _log.info("lift of %s %s: %s", grasp.hand, grasp.grasp_id, error)
@@ -225,7 +280,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
         return result("", rise, tips)
     if hit_table:
         return result("table_collision", rise, tips)
-    if after_squeeze is None or not after_squeeze.object_links:
+    if not after_squeeze.object_links:
         return result("not_grasped", rise, tips)
     if rise < protocol.success_m:
         return result("slipped", rise, tips)
@@ -233,7 +288,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
 
 
 def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Lift:
-    """Builds a rig and lifts one grasp; see `simulate_lift`.
+    """Lifts one grasp on the shared rig of its hand and scene; see `simulate_lift`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
@@ -244,4 +299,4 @@ def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIF
     Returns:
         The verdict.
     """
-    return simulate_lift(lift_rig(hand, scene, protocol=protocol), grasp)
+    return simulate_lift(shared_rig(hand, scene, protocol=protocol), grasp)
