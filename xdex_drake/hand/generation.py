@@ -84,13 +84,12 @@ def generated_hand(seed: int, index: int) -> Hand:
 
 
 @lru_cache(maxsize=64)
-def generate_hand(seed: int, index: int, *, simulate: bool = True) -> Generated:
+def generate_hand(seed: int, index: int) -> Generated:
     """A generated hand with its history; see `generated_hand`.
 
     Args:
         seed: Seed of the set, 0 or more.
         index: Index in the set, 0 or more.
-        simulate: Whether each hand is also built in Drake and simulated at rest for a second.
 
     Returns:
         The hand and its history.
@@ -113,7 +112,7 @@ def generate_hand(seed: int, index: int, *, simulate: bool = True) -> Generated:
         reasons = check_hand(mended)
         if not reasons:
             mended = replace(mended, name=name, display_name=f"{hand.display_name}, variation {name}")
-            reasons = check_in_drake(mended, seconds=1.0 if simulate else 0.0, time_step=REST_STEP)
+            reasons = check_in_drake(mended, time_step=REST_STEP)
         if not reasons:
             return Generated(mended, base, operations, tuple(rejected))
         rejected.append(_first(reasons).partition(":")[0])

@@ -21,7 +21,8 @@ def load_hand(name_or_path: str | Path) -> Hand:
     """Loads a hand.
 
     Args:
-        name_or_path: Name of a hand of the library (`list_hands`), or a path to a `.yaml` file.
+        name_or_path: Name of a hand of the library (`list_hands`), name of a generated hand (`g0-0137`: seed 0, index
+            137), or a path to a `.yaml` file.
 
     Returns:
         The hand.
@@ -40,11 +41,18 @@ def load_hand(name_or_path: str | Path) -> Hand:
         )
     if isinstance(name_or_path, Path) or "/" in text or suffix:
         raise HandFileError(f"{text}: this is no hand file; give a .yaml file or one of {', '.join(list_hands())}")
+    from xdex_drake.hand.generation import generated_hand, read_hand_name
+
+    generated = read_hand_name(text)
+    if generated is not None:
+        return generated_hand(*generated)
     names = list_hands()
     if text not in names:
         close = difflib.get_close_matches(text.lower(), names, n=3, cutoff=0.4)
         mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names) or 'none'}"
-        raise UnknownHand(f"there is no hand {text!r}; {mend} (a path to a .yaml file also works)")
+        raise UnknownHand(
+            f"there is no hand {text!r}; {mend} (a path to a .yaml file also works, and g0-0137 is a generated hand)"
+        )
     return _load_from_library(text)
 
 
