@@ -1,0 +1,339 @@
+"""The shape of a link in the description's primitives: few of them, with few vertices, for each costs time to simulate.
+
+Rules: spheres, boxes and capsules stay what they are. A cylinder that is at least as long as wide becomes the capsule
+of the same radius and volume, a shorter one a prism. A mesh is taken apart into its pieces; a piece becomes its convex
+hull, and is split by CoACD where the hull would stand out by more than `CONCAVITY`.
+"""
+
+from functools import lru_cache
+
+import coacd
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
+from xdex_drake.hand.importing.bodies import Member
+from xdex_drake.hand.importing.decisions import Decision, Decisions
+from xdex_drake.hand.importing.model import Cylinder, FileGeometry, TriangleMesh
+
+Faces = NDArray[np.int64]
+
+CONCAVITY = 4e-3
+"""How far a piece's hull may stand out of its surface [m] before it is split."""
+
+MOST_PARTS = 8
+"""Greatest number of convex parts of one link's meshes."""
+
+MOST_VERTICES = 40
+"""Greatest number of vertices of one convex part."""
+
+HULL_LOSS = 3e-4
+"""A hull leaves out vertices as long as none of them stands out of it by more than this [m]."""
+
+THINNEST = 1e-3
+"""A flat piece is thickened to this [m]."""
+
+SMALLEST = 4e-3
+"""A piece whose box has no longer diagonal than this is left out [m], where it is not the only one."""
+
+PRISM_SIDES = 16
+"""Number of sides of the prism that stands for a flat cylinder."""
+
+
+def link_shapes(name: str, members: tuple[Member, ...], decisions: Decisions) -> tuple[Geometry, ...]:
+    """What collides of a body, from the shapes of the links that it is made of.
+
+    Args:
+        name: The body's name, for messages.
+        members: Its links.
+        decisions: Grows by what was decided.
+
+    Returns:
+        Primitives in L; none where the file has no shape at all.
+    """
+    shapes: list[Geometry] = []
+    from_visual = []
+    for member in members:
+        given = member.link.collision
+        if not given and member.link.visual:
+            given = member.link.visual
+            from_visual.append(member.link.name)
+        for shape in given:
+            shapes.extend(_primitives(moved(shape, member.X_LF), name, decisions))
+    if from_visual:
+        text = "has no collision shape; its visual shape is used instead."
+        for link in from_visual:
+            decisions.append(Decision("decided", f"link {link}", text))
+    return tuple(shapes)
+
+
+def surface_points(members: tuple[Member, ...]) -> Array:
+    """Points that span the surface of a body, of its visual and its collision shapes.
+
+    Args:
+        members: Its links.
+
+    Returns:
+        Points in L [m], shape (n, 3).
+    """
+    points = [
+        _corners(moved(shape, member.X_LF))
+        for member in members
+        for shape in (*member.link.collision, *member.link.visual)
+    ]
+    return np.concatenate(points) if points else np.zeros((0, 3))
+
+
+def moved(shape: FileGeometry, X_AB: Array) -> FileGeometry:
+    """A shape given in frame B, in frame A.
+
+    Args:
+        shape: The shape.
+        X_AB: Pose of B in A, homogeneous, shape (4, 4).
+
+    Returns:
+        The same kind of shape.
+    """
+    R, p = X_AB[:3, :3], X_AB[:3, 3]
+    if isinstance(shape, Sphere):
+        return Sphere(R @ shape.center + p, shape.radius)
+    if isinstance(shape, Capsule):
+        return Capsule(R @ shape.p0 + p, R @ shape.p1 + p, shape.radius)
+    if isinstance(shape, Cylinder):
+        return Cylinder(R @ shape.p0 + p, R @ shape.p1 + p, shape.radius)
+    if isinstance(shape, Box):
+        return Box(shape.size, R @ shape.p_LG + p, R @ shape.R_LG)
+    return TriangleMesh(shape.vertices @ R.T + p, shape.faces, shape.source)
+
+
+def scaled(shape: FileGeometry, factor: float) -> FileGeometry:
+    """A shape scaled about its frame's origin.
+
+    Args:
+        shape: The shape.
+        factor: The factor.
+
+    Returns:
+        The same kind of shape.
+    """
+    if isinstance(shape, Sphere):
+        return Sphere(shape.center * factor, shape.radius * factor)
+    if isinstance(shape, Capsule):
+        return Capsule(shape.p0 * factor, shape.p1 * factor, shape.radius * factor)
+    if isinstance(shape, Cylinder):
+        return Cylinder(shape.p0 * factor, shape.p1 * factor, shape.radius * factor)
+    if isinstance(shape, Box):
+        return Box(shape.size * factor, shape.p_LG * factor, shape.R_LG)
+    return TriangleMesh(shape.vertices * factor, shape.faces, shape.source)
+
+
+def _primitives(shape: FileGeometry, name: str, decisions: Decisions) -> list[Geometry]:
+    if isinstance(shape, Cylinder):
+        return [_from_cylinder(shape)]
+    if not isinstance(shape, TriangleMesh):
+        return [shape]
+    if len(shape.faces) == 0 or not np.isfinite(shape.vertices).all():
+        text = f"the mesh {shape.source or 'of it'} has no usable triangle and is left out."
+        decisions.append(Decision("warning", f"link {name}", text))
+        return []
+    origin = shape.vertices.mean(axis=0)
+    # Links that use one mesh share its parts: the same vertices in another frame differ in their last digits.
+    parts = _mesh_parts(
+        np.round(shape.vertices - origin, 9).tobytes(), np.asarray(shape.faces, dtype=np.int64).tobytes()
+    )
+    return [Convex(part + origin) for part in parts]
+
+
+def _from_cylinder(cylinder: Cylinder) -> Geometry:
+    d = cylinder.p1 - cylinder.p0
+    length = float(np.linalg.norm(d))
+    u = d / max(length, 1e-12)
+    middle, r = 0.5 * (cylinder.p0 + cylinder.p1), cylinder.radius
+    if length >= 2.0 * r:
+        half = 0.5 * (length - 4.0 / 3.0 * r)
+        return Capsule(middle - half * u, middle + half * u, r)
+    across = np.linalg.svd(u[None])[2][1:]  # (2, 3)
+    turns = np.linspace(0.0, 2.0 * np.pi, PRISM_SIDES, endpoint=False)
+    ring = r * np.column_stack([np.cos(turns), np.sin(turns)]) @ across
+    return Convex(np.concatenate([ring + cylinder.p0, ring + cylinder.p1]))
+
+
+@lru_cache(maxsize=256)
+def _mesh_parts(vertices: bytes, faces: bytes) -> tuple[Array, ...]:
+    """Corners of the convex parts of a mesh."""
+    points = np.frombuffer(vertices).reshape(-1, 3)
+    triangles = np.frombuffer(faces, dtype=np.int64).reshape(-1, 3)
+    pieces = _pieces(points, triangles)
+    hulls = [small_hull(piece[0]) for piece in pieces]
+    parts: list[Array] = []
+    for piece, hull in zip(pieces, hulls, strict=True):
+        parts.extend([hull] if _bulge(*piece, hull) <= CONCAVITY else _split(*piece))
+    return tuple(_merge(parts))
+
+
+def _pieces(points: Array, faces: Faces) -> list[tuple[Array, Faces]]:
+    """Connected pieces of a mesh, without those that others contain or that are too small to matter."""
+    _, first, weld = np.unique(np.round(points, 6), axis=0, return_index=True, return_inverse=True)
+    points, faces = points[first], np.asarray(weld.reshape(-1)[faces], dtype=np.int64)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(points), len(points)))
+    count, label = connected_components(graph, directed=False)
+    if count > 1:
+        boxes = [(np.ptp(points[label == k], axis=0), k) for k in np.unique(label[faces[:, 0]])]
+        order = [k for _, k in sorted(((-float(np.linalg.norm(box)), int(k)) for box, k in boxes))]
+    else:
+        order = [0]
+    kept: list[tuple[Array, Faces]] = []
+    bodies: list[tuple[Array, Array]] = []
+    for k in order:
+        mine = points[label == k]
+        if kept and np.linalg.norm(np.ptp(mine, axis=0)) < SMALLEST:
+            break
+        if any((mine @ n.T <= d + 5e-4).all() for n, d in bodies):
+            continue
+        number = np.full(len(points), -1, dtype=np.int64)
+        number[label == k] = np.arange(len(mine))
+        kept.append((mine, number[faces[label[faces[:, 0]] == k]]))
+        hull = _hull(mine)
+        bodies.append((hull.equations[:, :3], -hull.equations[:, 3]))
+        if len(kept) >= 24:
+            break
+    return kept
+
+
+def _hull(points: Array) -> ConvexHull:
+    try:
+        return ConvexHull(points)
+    except (QhullError, ValueError):
+        return ConvexHull(_thickened(points))
+
+
+def _thickened(points: Array) -> Array:
+    """Flat or straight points, moved both ways along the directions in which they have no extent."""
+    center = points.mean(axis=0)
+    axes = np.linalg.svd(points - center, full_matrices=True)[2] if len(points) > 1 else np.eye(3)
+    out = points
+    for axis in axes:
+        if np.ptp(points @ axis) < THINNEST:
+            out = np.concatenate([out - 0.5 * THINNEST * axis, out + 0.5 * THINNEST * axis])
+    return out
+
+
+def small_hull(points: Array) -> Array:
+    """Corners of a convex hull of few vertices: the points that matter most, taken greedily from the farthest.
+
+    Args:
+        points: Points [m], shape (n, 3); flat ones are thickened.
+
+    Returns:
+        Corners [m], shape (m, 3), m at most `MOST_VERTICES`.
+    """
+    hull = _hull(points)
+    points = hull.points[hull.vertices]
+    if len(points) <= 8:
+        return points
+    directions = np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]])
+    chosen = list(dict.fromkeys(int(k) for k in (points @ directions.T).argmax(axis=0)))
+    while len(chosen) < min(MOST_VERTICES, len(points)):
+        try:
+            hull = ConvexHull(points[chosen])
+        except QhullError:
+            return points[:: max(1, len(points) // MOST_VERTICES)][:MOST_VERTICES]
+        outside = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+        far = int(outside.argmax())
+        if outside[far] <= HULL_LOSS or far in chosen:
+            break
+        chosen.append(far)
+    return points[sorted(chosen)]
+
+
+def _bulge(points: Array, faces: Faces, hull: Array) -> float:
+    """How far the hull stands out of a mesh, where 95 % of its surface does not stand out farther [m]."""
+    surface = _samples(points, faces, 3000)
+    body = ConvexHull(hull)
+    shell = _samples(hull, body.simplices.astype(np.int64), 600)
+    gap, _ = KDTree(surface).query(shell)
+    spacing, _ = KDTree(surface).query(surface[::10], k=2)
+    return float(np.percentile(gap, 95) - np.median(spacing[:, 1]))
+
+
+def _samples(points: Array, faces: Faces, count: int) -> Array:
+    """Points on triangles, evenly by area; the same for the same mesh."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    rng = np.random.default_rng(0)
+    total = float(area.sum())
+    if total <= 0.0:
+        return points
+    pick = rng.choice(len(faces), size=count, p=area / total)
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1.0
+    u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
+    return a[pick] + u * (b[pick] - a[pick]) + v * (c[pick] - a[pick])
+
+
+def _split(points: Array, faces: Faces) -> list[Array]:
+    """Convex parts of a piece, by CoACD at a coarse setting: a hand's link needs few."""
+    coacd.set_log_level("error")
+    pieces = coacd.run_coacd(
+        coacd.Mesh(points, faces.astype(np.int32)),
+        threshold=CONCAVITY,
+        real_metric=True,
+        max_convex_hull=MOST_PARTS,
+        mcts_iterations=15,
+        mcts_max_depth=2,
+        mcts_nodes=8,
+        resolution=800,
+        preprocess_mode="auto",
+        preprocess_resolution=24,
+        seed=1,
+    )
+    return [small_hull(np.asarray(corners, dtype=float)) for corners, _ in pieces if len(corners) >= 4]
+
+
+def _merge(parts: list[Array]) -> list[Array]:
+    """Joins parts, those first whose common hull adds least volume, until few are left."""
+    parts = list(parts)
+    volumes = [float(ConvexHull(part).volume) for part in parts]
+    cost: dict[tuple[int, int], float] = {}
+    alive = list(range(len(parts)))
+
+    def price(i: int, j: int) -> float:
+        if (i, j) not in cost:
+            both = float(ConvexHull(np.concatenate([parts[i], parts[j]])).volume)
+            cost[i, j] = both - volumes[i] - volumes[j]
+        return cost[i, j]
+
+    while len(alive) > 1:
+        i, j = min(((i, j) for n, i in enumerate(alive) for j in alive[n + 1 :]), key=lambda pair: price(*pair))
+        worthless = price(i, j) <= 0.03 * (volumes[i] + volumes[j])
+        if len(alive) <= MOST_PARTS and not worthless:
+            break
+        parts.append(small_hull(np.concatenate([parts[i], parts[j]])))
+        volumes.append(float(ConvexHull(parts[-1]).volume))
+        alive = [k for k in alive if k not in (i, j)] + [len(parts) - 1]
+    return [parts[k] for k in alive]
+
+
+def _corners(shape: FileGeometry) -> Array:
+    if isinstance(shape, Sphere):
+        return shape.center + shape.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    if isinstance(shape, Box):
+        signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
+        return shape.p_LG + (signs * shape.size) @ shape.R_LG.T
+    if isinstance(shape, TriangleMesh):
+        return shape.vertices[np.unique(shape.faces)] if len(shape.faces) else np.zeros((0, 3))
+    d = shape.p1 - shape.p0
+    u = d / max(float(np.linalg.norm(d)), 1e-12)
+    across = np.linalg.svd(u[None])[2][1:]
+    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    ring = shape.radius * np.column_stack([np.cos(turns), np.sin(turns)]) @ across
+    ends = [shape.p0, shape.p1]
+    if isinstance(shape, Capsule):
+        ends += [shape.p0 - 0.5 * shape.radius * u, shape.p1 + 0.5 * shape.radius * u]
+        caps = [(shape.p0 - shape.radius * u)[None], (shape.p1 + shape.radius * u)[None]]
+        return np.concatenate([ends[0] + ring, ends[1] + ring, *caps])
+    return np.concatenate([ends[0] + ring, ends[1] + ring])
