@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from tests.contact.references import RADIUS, ball_grasp, matrix, scaled
-from xdex_drake.contact import balance, gravity_wrench, wrench_energy
+from xdex_drake.contact import (
+    balance,
+    ball_margin,
+    ball_margin_gradient,
+    epsilon_gradient,
+    epsilon_linearized,
+    gravity_wrench,
+    min_weight,
+    min_weight_gradient,
+    wrench_energy,
+)
 
 MU = 0.6
 F_EXT = gravity_wrench(0.1)
@@ -63,3 +73,41 @@ def test_against_cvxpy():
     cost = 0.5 * cvxpy.sum_squares(G @ f + F_EXT) + 0.5e-3 * cvxpy.sum_squares(f)
     assert result.value == pytest.approx(cvxpy.Problem(cvxpy.Minimize(cost), rows).solve("CLARABEL"), rel=1e-6)
     assert result.f == pytest.approx(f.value, abs=1e-4)
+
+
+@pytest.mark.parametrize("quality", [min_weight_gradient, epsilon_gradient, ball_margin_gradient])
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_gradients_of_qualities_by_central_differences(quality, n):
+    rng = np.random.default_rng(10 + n)
+    tested = 0
+    while tested < 4:
+        p, normals = ball_grasp(rng, n)
+        center = 0.003 * rng.normal(size=3)
+        result = quality(p, normals, MU, center, length=RADIUS)
+        if not result.value > 1e-3:
+            continue
+        tested += 1
+        dp, dn = 0.01 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+        dn -= (dn * normals).sum(axis=1, keepdims=True) * normals
+        for moved_p, moved_n in ((dp, 0 * dn), (0 * dp, dn)):
+            slope = (result.gradient_p * moved_p).sum() + (result.gradient_n * moved_n).sum()
+            h = 1e-3 if quality is ball_margin_gradient else 1e-5
+            values = [
+                quality(p + s * h * moved_p, normals + s * h * moved_n, MU, center, length=RADIUS).value
+                for s in (1.0, -1.0)
+            ]
+            # A bracket of 1e-6 leaves about its root in the gradient.
+            allowed = 5e-3 if quality is ball_margin_gradient else 1e-5
+            assert slope == pytest.approx((values[0] - values[1]) / (2 * h), rel=1e-2, abs=allowed)
+        assert (result.gradient_n * normals).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_qualities_with_gradients_have_the_values_of_those_without():
+    rng = np.random.default_rng(20)
+    p, normals = ball_grasp(rng, 4)
+    G, options = matrix(p, normals), {"length": RADIUS}
+    args = (p, normals, MU, np.zeros(3))
+    assert min_weight_gradient(*args, **options).value == min_weight(G, MU, **options)
+    assert epsilon_gradient(*args, **options).value == epsilon_linearized(G, MU, **options)
+    bracket = ball_margin(G, MU, **options)
+    assert bracket.lower - 1e-9 <= ball_margin_gradient(*args, **options).value <= bracket.upper + 1e-9

@@ -11,6 +11,7 @@ from xdex_drake.contact.cones import (
     project_onto_cone,
 )
 from xdex_drake.contact.energy import WrenchEnergy, wrench_energy
+from xdex_drake.contact.gradients import Quality, ball_margin_gradient, epsilon_gradient, min_weight_gradient
 from xdex_drake.contact.margins import (
     BallMargin,
     TaskMargin,
@@ -38,6 +39,7 @@ __all__ = [
     "Balance",
     "BallMargin",
     "CertificateResult",
+    "Quality",
     "Residuals",
     "TaskMargin",
     "WrenchEnergy",
@@ -45,6 +47,7 @@ __all__ = [
     "balance_linearized",
     "balance_program",
     "ball_margin",
+    "ball_margin_gradient",
     "bounding_sphere",
     "certify",
     "check_certificate",
@@ -53,6 +56,7 @@ __all__ = [
     "contact_frames",
     "contact_geometry",
     "effort_map",
+    "epsilon_gradient",
     "epsilon_linearized",
     "grasp_matrix",
     "gravity_wrench",
@@ -60,6 +64,7 @@ __all__ = [
     "hand_depths",
     "in_cone",
     "min_weight",
+    "min_weight_gradient",
     "penetration_depth",
     "project_onto_cone",
     "push_wrenches",

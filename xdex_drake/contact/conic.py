@@ -200,10 +200,18 @@ def solve_conic(
     Returns:
         Status ("solved", "infeasible" or "failed"), x, iterations.
     """
+    solution = conic_solution(P, q, rows, right, cones, tolerance)
+    return solver_status(solution), np.asarray(solution.x), solution.iterations
+
+
+def conic_solution(
+    P: csc_matrix, q: Array, rows: csc_matrix, right: Array, cones: list[Any], tolerance: float = 1e-9
+) -> Any:
+    """What Clarabel says to the program of `solve_conic`, with the multipliers `z` of the rows."""
     solution = conic.DefaultSolver(P, q, rows, right, cones, solver_settings(tolerance)).solve()
     if solver_status(solution) == "failed":
         solution = conic.DefaultSolver(P, q, rows, right, cones, solver_settings(1e-8, True)).solve()
-    return solver_status(solution), np.asarray(solution.x), solution.iterations
+    return solution
 
 
 def resolve_conic(

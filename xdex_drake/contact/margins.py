@@ -19,6 +19,7 @@ from xdex_drake.contact.conic import (
     check_grasp,
     cone_rows,
     conic,
+    conic_solution,
     diagonal,
     effort_rows,
     full_matrix,
@@ -27,6 +28,7 @@ from xdex_drake.contact.conic import (
     program_cones,
     resolve_conic,
     solve_conic,
+    solver_status,
     torque_scaling,
 )
 from xdex_drake.contact.hull import GrowingHull
@@ -322,14 +324,28 @@ def epsilon_linearized(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int
     Raises:
         ConfigError: Shapes do not match or a number is out of range.
     """
-    wrenches = _primitive_wrenches(G, mu, length, edges)
+    return _nearest_facet(_primitive_wrenches(G, mu, length, edges))[0]
+
+
+def _nearest_facet(wrenches: Array) -> tuple[float, Array, Array]:
+    """Radius, unit normal (6,) and convex weights of the wrenches, (m,), of the nearest point of their hull's boundary.
+
+    All zero where 0 is not inside.
+    """
+    nothing = 0.0, np.zeros(6), np.zeros(len(wrenches))
     if len(wrenches) < 7 or np.linalg.matrix_rank(wrenches, tol=1e-9) < 6:
-        return 0.0
+        return nothing
     try:
-        hull = ConvexHull(np.vstack([np.zeros(6), wrenches]))
+        hull = ConvexHull(np.vstack([wrenches, np.zeros(6)]))
     except QhullError:
-        return 0.0
-    return max(0.0, float(-hull.equations[:, 6].max()))
+        return nothing
+    nearest = int(hull.equations[:, 6].argmax())
+    radius, normal, vertices = float(-hull.equations[nearest, 6]), hull.equations[nearest, :6], hull.simplices[nearest]
+    if radius <= 1e-12 or vertices.max() == len(wrenches):
+        return nothing
+    weights = np.zeros(len(wrenches))
+    weights[vertices] = np.linalg.lstsq(wrenches[vertices].T, radius * normal, rcond=None)[0]
+    return radius, normal, weights
 
 
 def min_weight(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 4) -> float:
@@ -352,10 +368,14 @@ def min_weight(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 4) ->
     Raises:
         ConfigError: Shapes do not match or a number is out of range.
     """
-    wrenches = _primitive_wrenches(G, mu, length, edges)
+    return _least_weight(_primitive_wrenches(G, mu, length, edges))[0]
+
+
+def _least_weight(wrenches: Array) -> tuple[float, Array, Array]:
+    """Value of the linear program of `min_weight`, multipliers of zero wrench (6,), and weights (m,)."""
     m = len(wrenches)
     if m == 0:
-        return -math.inf
+        return -math.inf, np.zeros(6), np.zeros(0)
     rows = np.zeros((7 + m, m + 1))
     rows[:6, :m] = wrenches.T
     rows[6, :m] = 1.0
@@ -364,5 +384,8 @@ def min_weight(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 4) ->
     right[6] = 1.0
     cones = [conic.ZeroConeT(7), conic.NonnegativeConeT(m)]
     q = np.append(np.zeros(m), -1.0)
-    status, x, _ = solve_conic(csc_matrix((m + 1, m + 1)), q, csc_matrix(rows), right, cones)
-    return float(x[-1]) if status == "solved" else -math.inf
+    solution = conic_solution(csc_matrix((m + 1, m + 1)), q, csc_matrix(rows), right, cones)
+    if solver_status(solution) != "solved":
+        return -math.inf, np.zeros(6), np.zeros(m)
+    x = np.asarray(solution.x)
+    return float(x[-1]), -np.asarray(solution.z)[:6], x[:m]
