@@ -1,0 +1,192 @@
+"""Reads SDFormat files by Drake's parser, in a process of its own: some files end the process that parses them.
+
+Before that the file is read as plain XML, within limits; meshes are read here, from the hand's folder only, and given
+to the parser as OBJ files, so that formats and paths that Drake does not take are no hindrance.
+"""
+
+import logging
+import pickle
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from xdex_drake.errors import HandFileError
+from xdex_drake.hand.importing.mesh_files import MeshFiles, MissingMesh
+from xdex_drake.hand.importing.model import FileGeometry, FileLink, FileModel, TriangleMesh
+from xdex_drake.hand.importing.xml_file import MAX_LINKS, Element, read_xml
+
+WHAT = "an SDFormat file of one hand"
+TIME_LIMIT = 60.0
+"""Longest time that Drake's parser may take [s]."""
+
+UNSUPPORTED = ("include", "actor", "population", "road", "heightmap", "polyline", "image")
+
+
+def read_sdf(path: str | Path) -> FileModel:
+    """Reads an SDFormat file that holds one model.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The robot as the file has it.
+
+    Raises:
+        HandFileError: The file is not an SDFormat file, holds no or several models, is refused by Drake's parser, or
+            leads out of the hand's folder; the message names file, element and remedy.
+    """
+    path = Path(path)
+    root = read_xml(path, WHAT)
+    if root.tag != "sdf":
+        raise HandFileError(f"{path}: its root element is <{root.tag[:40]}>, not <sdf>; give {WHAT}")
+    notes: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="xdex-sdf-") as folder:
+        _check(root, path)
+        _localize_meshes(root, path, Path(folder), notes)
+        copy = Path(folder) / "hand.sdf"
+        ElementTree.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
+        model = _parse_apart(copy, path)
+    names = {file: source for file, source in _sources(root).items()}
+    return FileModel(
+        model.name, str(path), _renamed(model, names), model.joints, model.ignored_pairs, (*notes, *model.notes)
+    )
+
+
+def _check(root: Element, path: Path) -> None:
+    """Refuses what would end Drake's process, and what would lead to other files."""
+    source = str(path)
+    links = sum(1 for _ in root.iter("link"))
+    if links == 0:
+        raise HandFileError(f"{source}: has no links; give {WHAT}")
+    if links > MAX_LINKS:
+        raise HandFileError(f"{source}: has {links} links, more than {MAX_LINKS}; give a file of the hand alone")
+    for element in root.iter():
+        if element.tag in UNSUPPORTED:
+            raise HandFileError(f"{source}: uses <{element.tag}>, which is not read; write the model out in one file")
+        text = (element.text or "").strip().lower()
+        for word in text.split():
+            if word.lstrip("+-").startswith("nan"):
+                raise HandFileError(f"{source}: <{element.tag[:40]}> holds {word[:20]!r}; write a finite number")
+    for joint in root.iter("joint"):
+        for axis in (*joint.findall("axis"), *joint.findall("axis2")):
+            limit = axis.find("limit")
+            if limit is None:
+                continue
+            place = f"joint {joint.get('name')!r}"
+            lower, upper = (_number(limit, tag, default, source, place) for tag, default in _LIMITS)
+            if lower > upper:
+                raise HandFileError(f"{source}: {place} has lower {lower:g} above upper {upper:g}; exchange them")
+
+
+_LIMITS = (("lower", -np.inf), ("upper", np.inf))
+
+
+def _number(limit: Element, tag: str, default: float, source: str, place: str) -> float:
+    text = limit.findtext(tag)
+    try:
+        return default if text is None else float(text)
+    except ValueError:
+        raise HandFileError(f"{source}: {place} has the {tag} limit {text!r:.40}; write a number") from None
+
+
+def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) -> None:
+    """Lets each mesh element refer to an OBJ file in `folder`; removes visuals and collisions whose mesh is missing."""
+    meshes = MeshFiles(path)
+    written: dict[tuple[Path, str], str] = {}
+    for link in root.iter("link"):
+        place = f"link {link.get('name')!r}"
+        for part in [*link.findall("visual"), *link.findall("collision")]:
+            part[:] = [child for child in part if child.tag != "material"]  # Scripts and textures are files, too.
+            for element in list(part.iter("mesh")):
+                uri = (element.findtext("uri") or "").strip()
+                try:
+                    file = meshes.locate(uri)
+                    if (file, uri) not in written:
+                        mesh = meshes.read(uri, np.ones(3))
+                        target = folder / f"mesh_{len(written)}.obj"
+                        _write_obj(mesh, target)
+                        written[file, uri] = target.name
+                except MissingMesh as cause:
+                    notes.append(f"{place}: the mesh {cause}")
+                    link.remove(part)
+                    break
+                entry = element.find("uri")
+                assert entry is not None
+                entry.text = written[file, uri]
+                entry.set("source", file.name)
+    for element in root.iter():
+        if element.tag in ("uri", "filename") and not (element.text or "").startswith("mesh_"):
+            element.text = ""
+    for parent in list(root.iter()):
+        parent[:] = [child for child in parent if child.tag not in ("plugin", "sensor")]
+
+
+def _write_obj(mesh: TriangleMesh, file: Path) -> None:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    file.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _sources(root: Element) -> dict[str, str]:
+    return {(entry.text or ""): entry.attrib["source"] for entry in root.iter("uri") if "source" in entry.attrib}
+
+
+def _renamed(model: FileModel, names: dict[str, str]) -> tuple[FileLink, ...]:
+    """The links with the names of their meshes' own files."""
+
+    def rename(shape: FileGeometry) -> FileGeometry:
+        if isinstance(shape, TriangleMesh):
+            return TriangleMesh(shape.vertices, shape.faces, names.get(shape.source, shape.source))
+        return shape
+
+    return tuple(
+        FileLink(link.name, tuple(map(rename, link.visual)), tuple(map(rename, link.collision)), link.inertia)
+        for link in model.links
+    )
+
+
+def _parse_apart(copy: Path, path: Path) -> FileModel:
+    command = [sys.executable, "-m", "xdex_drake.hand.importing.sdformat", str(copy)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=TIME_LIMIT, check=False)
+    except subprocess.TimeoutExpired:
+        raise HandFileError(f"{path}: took longer than {TIME_LIMIT:g} s to parse; simplify the file") from None
+    if done.returncode != 0 or not done.stdout:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        reason = said[-1].replace(str(copy), "")[:200] if said else f"it ended with status {done.returncode}"
+        raise HandFileError(f"{path}: Drake's parser fails on it ({reason}); mend the file, or give a URDF")
+    answer = pickle.loads(done.stdout)
+    if isinstance(answer, FileModel):
+        return answer
+    said = " ".join(str(answer).replace(str(copy), "").split())[:300]
+    raise HandFileError(f"{path}: Drake's parser refuses it ({said}); mend that, or give a URDF")
+
+
+def _main(copy: str) -> None:
+    """In the process of its own: parses the prepared file and writes the model, or what is wrong, to the output."""
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+    from pydrake.systems.framework import DiagramBuilder
+
+    from xdex_drake.hand.importing.drake_plant import model_from_plant
+
+    logging.getLogger("drake").setLevel(logging.ERROR)
+    try:
+        # Couplings exist in discrete plants only.
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+        instances = Parser(plant).AddModels(Path(copy))
+        if len(instances) != 1:
+            raise HandFileError(f"it holds {len(instances)} models, not one")
+        plant.Finalize()
+        answer: object = model_from_plant(plant, instances[0], scene_graph=scene_graph)
+    except (HandFileError, RuntimeError, ValueError) as error:
+        answer = str(error)
+    sys.stdout.buffer.write(pickle.dumps(answer))
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])
