@@ -12,6 +12,7 @@ from xdex_drake.dataset.store import read_grasps, read_metadata, write_grasps
 from xdex_drake.errors import GraspFileError, XdexError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.generation import read_hand_name
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.scene.object import load_object
@@ -113,7 +114,12 @@ def hand_paths_entry(paths: Mapping[str, str]) -> dict[str, str]:
     Returns:
         The entry, empty where there are none.
     """
-    resolved = {name: str(Path(path).resolve()) for name, path in paths.items() if name not in list_hands()}
+    known = list_hands()
+    resolved = {
+        name: str(Path(path).resolve())
+        for name, path in paths.items()
+        if name not in known and read_hand_name(str(path)) is None
+    }
     return {HAND_PATHS: json.dumps(resolved, sort_keys=True)} if resolved else {}
 
 

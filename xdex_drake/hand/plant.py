@@ -86,7 +86,7 @@ def add_hand(
     bodies = [plant.AddRigidBody(link.name, instance, _spatial_inertia(link)) for link in hand.links]
     if plant.geometry_source_is_registered():
         properties = _proximity_properties(friction, point_stiffness)
-        colors = _link_colors(hand)
+        colors = link_colors(hand)
         ids = [
             _add_geometry(plant, body, link, color, properties)
             for body, link, color in zip(bodies, hand.links, colors, strict=True)
@@ -148,8 +148,8 @@ def _proximity_properties(friction: float, point_stiffness: float | None) -> Pro
     return properties
 
 
-def _link_colors(hand: Hand) -> list[Array]:
-    """Color of each link, shape (4,): a finger's color lightens toward its tip."""
+def link_colors(hand: Hand) -> list[Array]:
+    """Color of each link (red, green, blue, opacity), shape (4,): a finger's color lightens toward its tip."""
     colors = {}
     for finger in hand.fingers:
         base = np.array(FINGER_COLORS.get(finger.name, OTHER_FINGER_COLOR))
