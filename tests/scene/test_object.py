@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError, UnknownObject
-from xdex_drake.scene.convex_parts import cache_folder
 from xdex_drake.scene.distance import sample_surface
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.procedural import list_objects, procedural_mesh

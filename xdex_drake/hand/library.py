@@ -10,6 +10,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.yaml_file import read_hand
 
 FORMATS = (".yaml", ".yml")
+ROBOT_FORMATS = (".urdf", ".xml", ".mjcf", ".sdf", ".xacro")
 
 
 def list_hands() -> tuple[str, ...]:
@@ -22,7 +23,8 @@ def load_hand(name_or_path: str | Path) -> Hand:
 
     Args:
         name_or_path: Name of a hand of the library (`list_hands`), name of a generated hand (`g0-0137`: seed 0, index
-            137), or a path to a `.yaml` file.
+            137), or a path to a `.yaml` file, or to a URDF, MJCF or SDFormat file, which is imported as it is
+            (`xdex_drake.hand.importing.files`) and kept in the cache.
 
     Returns:
         The hand.
@@ -35,12 +37,14 @@ def load_hand(name_or_path: str | Path) -> Hand:
     suffix = Path(text).suffix.lower()
     if suffix in FORMATS:
         return read_hand(text)
-    if suffix in (".urdf", ".xml", ".mjcf", ".xacro"):
-        raise HandFileError(
-            f"{text}: {suffix[1:].upper()} files cannot be imported yet; describe the hand as YAML, as hands/*.yaml do"
-        )
+    if suffix in ROBOT_FORMATS:
+        from xdex_drake.hand.importing.files import load_imported_hand
+
+        return load_imported_hand(text)
     if isinstance(name_or_path, Path) or "/" in text or suffix:
-        raise HandFileError(f"{text}: this is no hand file; give a .yaml file or one of {', '.join(list_hands())}")
+        raise HandFileError(
+            f"{text}: this is no hand file; give a .yaml or .urdf file or one of {', '.join(list_hands())}"
+        )
     from xdex_drake.hand.generation import generated_hand, read_hand_name
 
     generated = read_hand_name(text)
@@ -51,7 +55,7 @@ def load_hand(name_or_path: str | Path) -> Hand:
         close = difflib.get_close_matches(text.lower(), names, n=3, cutoff=0.4)
         mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names) or 'none'}"
         raise UnknownHand(
-            f"there is no hand {text!r}; {mend} (a path to a .yaml file also works, and g0-0137 is a generated hand)"
+            f"there is no hand {text!r}; {mend} (a path to a .yaml or .urdf file also works, and g0-0137 is a generated hand)"
         )
     return _load_from_library(text)
 

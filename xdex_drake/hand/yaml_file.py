@@ -78,9 +78,21 @@ def write_hand(hand: Hand, path: str | Path) -> None:
         HandFileError: The file cannot be written.
     """
     try:
-        Path(path).write_text("\n".join(_lines(hand)) + "\n", encoding="utf-8")
+        Path(path).write_text(hand_text(hand), encoding="utf-8")
     except OSError as error:
         raise HandFileError(f"{path}: the file cannot be written ({error}); give a writable path") from error
+
+
+def hand_text(hand: Hand) -> str:
+    """The text of a hand's file.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        What `write_hand` writes.
+    """
+    return "\n".join(_lines(hand)) + "\n"
 
 
 def hand_digest(hand: Hand) -> str:

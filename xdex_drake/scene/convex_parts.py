@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.scene.distance import ExactDistance, HalfSpaces, Part, build_grid, sample_surface, union_surface
 
@@ -54,13 +55,6 @@ class ConvexParts:
     gap_p99_m: float
     seconds: float
     cached: bool
-
-
-def cache_folder() -> Path:
-    """Folder of the results that are kept between runs: XDEX_CACHE, or `xdex_drake` in the user's cache folder."""
-    if folder := os.environ.get("XDEX_CACHE"):
-        return Path(folder)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xdex_drake"
 
 
 def mesh_digest(vertices: Array, faces: Faces) -> str:

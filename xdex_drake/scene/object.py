@@ -12,9 +12,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError, UnknownObject
 from xdex_drake.scene.convex_parts import (
-    cache_folder,
     convex_parts,
     mesh_digest,
     read_cache,
