@@ -220,17 +220,21 @@ class Retarget:
 class LiftCommand:
     """Lifts stored grasps again, each from its pre-grasp, and stores the new verdicts.
 
-    Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats.
+    Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
+    succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
+    friction, and with twice the mass.
 
     Attributes:
         file: A file of grasps with pre-grasp and squeeze targets.
-        protocol: Name of the protocol.
+        protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
+        robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes; 1 works without starting any.
     """
 
     file: tyro.conf.Positional[Path]
     protocol: str = "lift-0.2/2tips"
+    robust: int = 0
     out: Path = Path("grasps_lifted.parquet")
     workers: int = 2
 
@@ -243,10 +247,11 @@ class LiftCommand:
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.dataset.store import write_grasps
         from xdex_drake.errors import ConfigError
-        from xdex_drake.simulation.protocol import LIFT
+        from xdex_drake.simulation.protocol import find_protocol
 
-        if self.protocol != LIFT.name:
-            raise ConfigError(f"--protocol {self.protocol!r} is not known; use {LIFT.name}")
+        find_protocol(self.protocol)
+        if self.robust < 0:
+            raise ConfigError(f"--robust is {self.robust}; give 0 or more")
         stored = load_grasps(self.file)
         if not stored:
             raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
@@ -255,7 +260,14 @@ class LiftCommand:
             raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
         paths = hand_paths(self.file)
         units = [
-            LiftUnit(k, item.grasp, item.facts, paths.get(item.hand.name, item.hand.name))
+            LiftUnit(
+                k,
+                item.grasp,
+                item.facts,
+                paths.get(item.hand.name, item.hand.name),
+                protocol=self.protocol,
+                robust=self.robust,
+            )
             for k, item in enumerate(stored)
         ]
         rows = []

@@ -21,6 +21,7 @@ from xdex_drake.grasp import Grasp, Lift
 
 if TYPE_CHECKING:
     from xdex_drake.dataset.synthesis import Outcome
+    from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
     from xdex_drake.simulation.lift import LiftRig
 
@@ -278,12 +279,16 @@ class LiftUnit:
         grasp: The grasp.
         scene: Its scene.
         hand: Name or path of its hand.
+        protocol: Name of the protocol.
+        robust: Number of errors of pose under which it is repeated; 0 for one lift as it is.
     """
 
     index: int
     grasp: Grasp
     scene: SceneFacts
     hand: str
+    protocol: str = "lift-0.2/2tips"
+    robust: int = 0
 
 
 def run_retarget(unit: RetargetUnit) -> Outcome:
@@ -323,9 +328,16 @@ def run_lift(unit: LiftUnit) -> Lift:
     Returns:
         The verdict.
     """
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.lift import lift
+    from xdex_drake.simulation.protocol import find_protocol
+    from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
-    return simulate_lift(_rig(unit.hand, unit.scene), unit.grasp)
+    hand, scene, protocol = _hand(unit.hand), _scene(unit.scene), find_protocol(unit.protocol)
+    if unit.robust:
+        return robust_lift(
+            unit.grasp, hand, scene, protocol=protocol, settings=RobustSettings(repeats=unit.robust)
+        ).lift
+    return lift(unit.grasp, hand, scene, protocol=protocol)
 
 
 def in_order(units: Sequence[Unit], work: Callable[[Unit], Value], *, workers: int) -> Iterator[tuple[Unit, Value]]:
@@ -372,6 +384,13 @@ class _Numbered(Generic[Unit, Value]):
 
     def __call__(self, unit: tuple[int, Unit]) -> Value:
         return self.work(unit[1])
+
+
+@lru_cache(maxsize=4)
+def _hand(hand: str) -> Hand:
+    from xdex_drake.hand.library import load_hand
+
+    return load_hand(hand)
 
 
 @lru_cache(maxsize=4)

@@ -7,6 +7,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
 
 _log = logging.getLogger(__name__)
 
@@ -34,6 +35,7 @@ FAILURE_REASONS = (
     "table_collision",
     "not_grasped",
     "slipped",
+    "turned",
     "too_few_fingertips",
 )
 
@@ -82,6 +84,7 @@ def lift_rig(
     Returns:
         The rig; lifts on one rig do not influence each other.
     """
+    scene = protocol_scene(scene, protocol)
     sources: list[TrajectorySource] = []
 
     def add_sources(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
@@ -102,6 +105,28 @@ def lift_rig(
 _rigs: OrderedDict[tuple[str, str, float, float, bytes, LiftProtocol], LiftRig] = OrderedDict()
 
 
+@lru_cache(maxsize=RIGS)
+def _digest_by_identity(identity: _Identity) -> str:
+    return hand_digest(identity.hand)
+
+
+@dataclass(frozen=True, eq=False)
+class _Identity:
+    """A hand that is compared by identity: its digest takes as long as a tenth of a lift."""
+
+    hand: Hand
+
+    def __hash__(self) -> int:
+        return id(self.hand)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Identity) and other.hand is self.hand
+
+
+def _digest(hand: Hand) -> str:
+    return _digest_by_identity(_Identity(hand))
+
+
 def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
     """The rig of a hand and a scene, built once and kept; verdicts are the same as on a new one, to the last bit.
 
@@ -114,7 +139,7 @@ def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Li
         A rig of this process; at most `RIGS` are kept, those that were used last. Not for use by several threads.
     """
     model = scene.object
-    key = (hand_digest(hand), model.digest, model.mass, model.friction, scene.X_WO.GetAsMatrix34().tobytes(), protocol)
+    key = (_digest(hand), model.digest, model.mass, model.friction, scene.X_WO.GetAsMatrix34().tobytes(), protocol)
     rig = _rigs.pop(key, None) or lift_rig(hand, scene, protocol=protocol)
     _rigs[key] = rig
     while len(_rigs) > RIGS:
@@ -153,8 +178,8 @@ def _touching(bench: ScenePlant, context: Context) -> _Touch:
     return _sort_touches(bench, ((info.bodyA_index(), info.bodyB_index()) for info in infos))
 
 
-def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
-    """Contacts of the configuration as it stands, from geometry alone."""
+def _touching_at_rest(bench: ScenePlant, context: Context, depth: float = 0.0) -> _Touch:
+    """Contacts of the configuration as it stands and at least as deep as given, from geometry alone."""
     query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
     frame_of = query.inspector().GetFrameId
 
@@ -163,13 +188,14 @@ def _touching_at_rest(bench: ScenePlant, context: Context) -> _Touch:
         assert found is not None
         return found.index()
 
-    return _sort_touches(bench, ((body(p.id_A), body(p.id_B)) for p in query.ComputePointPairPenetration()))
+    pairs = (p for p in query.ComputePointPairPenetration() if p.depth >= depth)
+    return _sort_touches(bench, ((body(p.id_A), body(p.id_B)) for p in pairs))
 
 
-def _smooth(s: float) -> float:
-    """Ramp from 0 to 1 with zero velocity at both ends."""
+def _ramp(s: float, shape: str) -> float:
+    """Ramp from 0 to 1; a smooth one has zero velocity at both ends."""
     s = min(max(s, 0.0), 1.0)
-    return s * s * (3.0 - 2.0 * s)
+    return s if shape == "linear" else s * s * (3.0 - 2.0 * s)
 
 
 def targets(grasp: Grasp, protocol: LiftProtocol, t: float) -> tuple[Array, Array]:
@@ -183,28 +209,59 @@ def targets(grasp: Grasp, protocol: LiftProtocol, t: float) -> tuple[Array, Arra
     Returns:
         q_target [rad or m], shape (n,), and the carriage's offset from the grasp's wrist position [m], shape (3,).
     """
-    assert grasp.q_pregrasp is not None and grasp.q_squeeze is not None and grasp.X_WH_pregrasp is not None
-    close = _smooth(t / protocol.close_s)
-    squeeze = _smooth((t - protocol.close_s) / protocol.squeeze_s)
-    rise = _smooth((t - protocol.close_s - protocol.squeeze_s) / protocol.rise_s)
-    q = grasp.q_pregrasp + close * (grasp.q - grasp.q_pregrasp) + squeeze * (grasp.q_squeeze - grasp.q)
+    assert grasp.q_pregrasp is not None and grasp.X_WH_pregrasp is not None
+    close = _ramp(t / protocol.close_s, protocol.ramp)
+    squeeze = _ramp((t - protocol.close_s) / protocol.squeeze_s, protocol.ramp)
+    rising_s = t - protocol.close_s - protocol.squeeze_s
+    rise = _ramp(rising_s / protocol.rise_s, protocol.ramp)
+    q = grasp.q_pregrasp + close * (grasp.q - grasp.q_pregrasp) + squeeze * (_squeezed(grasp, protocol) - grasp.q)
     back = grasp.X_WH_pregrasp.translation() - grasp.X_WH.translation()
-    return q, (1.0 - close) * back + np.array([0.0, 0.0, rise * protocol.rise_m])
+    return q, (1.0 - close) * back + np.array([0.0, 0.0, rise * protocol.rise_m]) + _shake(protocol, rising_s)
+
+
+def _squeezed(grasp: Grasp, protocol: LiftProtocol) -> Array:
+    """Squeeze targets for the gain of the protocol."""
+    assert grasp.q_squeeze is not None
+    if protocol.plant.kp == protocol.squeeze_kp:
+        return grasp.q_squeeze
+    return grasp.q + (grasp.q_squeeze - grasp.q) * (protocol.squeeze_kp / protocol.plant.kp)
+
+
+def _shake(protocol: LiftProtocol, rising_s: float) -> Array:
+    """Offset of the shaking a while after the begin of the rise."""
+    shaking = protocol.shaking
+    if shaking is None or not shaking.after_s <= rising_s <= protocol.rise_s:
+        return np.zeros(3)
+    angle = np.array(shaking.rate) * (shaking.clock_s + rising_s) + np.array(shaking.phase)
+    return shaking.amplitude_m * np.sin(angle)
 
 
 def _play_targets(rig: LiftRig, grasp: Grasp) -> None:
     """Hands the targets of a lift to the sources of a rig."""
-    assert grasp.q_pregrasp is not None and grasp.q_squeeze is not None and grasp.X_WH_pregrasp is not None
-    protocol = rig.protocol
+    assert grasp.q_pregrasp is not None and grasp.X_WH_pregrasp is not None
+    protocol, step = rig.protocol, rig.protocol.plant.time_step
     spans = [protocol.close_s, protocol.squeeze_s, protocol.rise_s]
     # The controller is implicit: a step aims at the targets of its end, so that they are played one step early.
-    breaks = np.concatenate([[0.0], np.cumsum(spans)]) - protocol.plant.time_step
-    q = np.column_stack([grasp.q_pregrasp, grasp.q, grasp.q_squeeze, grasp.q_squeeze])
+    breaks = np.concatenate([[0.0], np.cumsum(spans)]) - step
+    squeezed = _squeezed(grasp, protocol)
+    q = np.column_stack([grasp.q_pregrasp, grasp.q, squeezed, squeezed])
     back, top = grasp.X_WH_pregrasp.translation() - grasp.X_WH.translation(), np.array([0.0, 0.0, protocol.rise_m])
     offset = np.column_stack([back, np.zeros(3), np.zeros(3), top])
-    for source, samples in ((rig.hand_source, q), (rig.carriage_source, offset)):
-        samples = np.concatenate([samples, np.zeros_like(samples)])
-        source.UpdateTrajectory(PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples)))
+    rig.hand_source.UpdateTrajectory(_trajectory(breaks, q, protocol.ramp))
+    if protocol.shaking is not None:
+        times = np.arange(0.0, sum(spans) + 2.0 * step, step)
+        offset = np.column_stack([targets(grasp, protocol, t)[1] for t in times])
+        rig.carriage_source.UpdateTrajectory(_trajectory(times - step, offset, "linear"))
+        return
+    rig.carriage_source.UpdateTrajectory(_trajectory(breaks, offset, protocol.ramp))
+
+
+def _trajectory(breaks: Array, samples: Array, shape: str) -> PiecewisePolynomial:
+    """Positions between samples, over velocities that are zero."""
+    samples = np.concatenate([samples, np.zeros_like(samples)])
+    if shape == "linear":
+        return PiecewisePolynomial.FirstOrderHold(breaks, samples)
+    return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
 
 
 def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
@@ -245,7 +302,7 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
 
     z0 = center_height()
     begin = _touching_at_rest(bench, plant_context)
-    if begin.object_links:
+    if begin.object_links and _touching_at_rest(bench, plant_context, protocol.start_depth_m).object_links:
         return result("pregrasp_in_contact", 0.0, ())
     if begin.table_links:
         return result("table_collision", 0.0, ())
@@ -274,16 +331,28 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     if not np.isfinite(rise):
         return result("simulation_failed", float("nan"), ())
     end = _touching(bench, plant_context)
+    slipped, turned = rise < protocol.success_m, False
+    if protocol.max_height_error_m is not None:
+        slipped = slipped or abs(rise - protocol.rise_m) >= protocol.max_height_error_m
+    X_WO = plant.EvalBodyPoseInWorld(plant_context, body)
+    if protocol.max_shift_m is not None:
+        shift = X_WO.translation() - grasp.X_WO.translation() - np.array([0.0, 0.0, protocol.rise_m])
+        slipped = slipped or float(np.linalg.norm(shift)) >= protocol.max_shift_m
+    if protocol.max_turn_rad is not None:
+        turn = (grasp.X_WO.rotation().inverse() @ X_WO.rotation()).ToAngleAxis().angle()
+        turned = abs(turn) >= protocol.max_turn_rad
     hand = bench.hand
     tips = tuple(f.name for f in hand.fingers if hand.link_index[f.tip_link] in end.object_links)
-    if rise >= protocol.success_m and len(tips) >= protocol.fingertips:
+    if not slipped and not turned and len(tips) >= protocol.fingertips:
         return result("", rise, tips)
     if hit_table:
         return result("table_collision", rise, tips)
     if not after_squeeze.object_links:
         return result("not_grasped", rise, tips)
-    if rise < protocol.success_m:
+    if slipped:
         return result("slipped", rise, tips)
+    if turned:
+        return result("turned", rise, tips)
     return result("too_few_fingertips", rise, tips)
 
 
