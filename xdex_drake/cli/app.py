@@ -41,6 +41,10 @@ COMMANDS: dict[str, Entry] = {
     "hand list": Entry("hands", "HandList", "the hands of the library"),
     "hand show": Entry("hands", "HandShow", "one hand: joints, fingers, where its facts come from"),
     "hand view": Entry("hands", "HandView", "one hand in Meshcat"),
+    "hand generate": Entry("hand_sets", "HandGenerate", "a thousand hands: human ones and variations of robot hands"),
+    "hand stats": Entry("hand_sets", "HandStats", "count a folder of hands, and picture it"),
+    "hand check": Entry("hand_sets", "HandCheck", "check hands, and let each rest for a second in Drake"),
+    "hand browse": Entry("hand_sets", "HandBrowse", "hands in Meshcat with a slider for every joint"),
     "object list": Entry("objects", "ObjectList", "the shapes of the library"),
     "object show": Entry("objects", "ObjectShow", "one object: mass, convex parts, how good they are"),
     "object import": Entry("objects", "ObjectImport", "check, clean and scale mesh files"),
@@ -59,8 +63,9 @@ COMMANDS: dict[str, Entry] = {
 }
 
 FOOTER = """\
-HAND is a name from `xdex hand list` or the path of a .yaml file; OBJECT is a name from `xdex object list` or the path
-of a mesh. `xdex COMMAND --help` tells more. Exit status: 0 done; 1 nothing was found; 2 bad input, told in one line."""
+HAND is a name from `xdex hand list`, a generated hand such as g0-0137, or the path of a .yaml file; OBJECT is a name
+from `xdex object list` or the path of a mesh. `xdex COMMAND --help` tells more. Exit status: 0 done; 1 nothing was
+found; 2 bad input, told in one line."""
 
 
 def overview() -> str:

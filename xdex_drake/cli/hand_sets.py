@@ -1,0 +1,248 @@
+"""`xdex hand generate`, `stats`, `check` and `browse`: many hands at once."""
+
+from __future__ import annotations
+
+import secrets
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import tyro
+
+from xdex_drake.cli.output import (
+    check_output_file,
+    check_writable,
+    counts,
+    facts,
+    keeping_finished_work,
+    one_thread,
+    progress,
+    table,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xdex_drake.dataset.hand_sets import HandRow
+
+Item = TypeVar("Item")
+
+HandNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND...")]
+
+
+@dataclass(frozen=True)
+class HandGenerate:
+    """Generates hands: every fifth a human one, the others variations of the five robot hands of the library.
+
+    Hand 137 of seed 0 is named g0-0137; the name alone works wherever a HAND is asked for, with no file. Ctrl-C keeps
+    what is done, and the same command goes on from there. Try `xdex hand generate --count 20 --out hands20`.
+
+    Attributes:
+        count: Number of hands.
+        seed: Seed of the set.
+        out: Folder for a .yaml file a hand and index.json.
+        workers: Number of processes.
+    """
+
+    count: int = 1000
+    seed: int = 0
+    out: Path = Path("generated_hands")
+    workers: int = 2
+
+    def run(self) -> int:
+        """Writes the folder, prints what is in it."""
+        check_writable(self.out / "index.json")
+        one_thread()
+        from xdex_drake.dataset.hand_sets import generate_hands
+
+        rows: list[HandRow] = []
+        with keeping_finished_work() as interruption, progress(self.count, "hands") as bar:
+
+            def tell(done: int) -> None:
+                bar.n = done
+                bar.refresh()
+
+            rows = generate_hands(self.count, self.seed, self.out, workers=self.workers, on_done=tell)
+        if interruption.happened:
+            print("interrupted: give the same command again to go on")
+            return interruption.status(1)
+        _print_statistics(rows)
+        print(f"\n{len(rows)} hands: {self.out}")
+        return 0
+
+
+@dataclass(frozen=True)
+class HandStats:
+    """Counts a folder of hands: sizes, links, joints and topologies.
+
+    Try `xdex hand stats generated_hands --out statistics.png --pictures 48`.
+
+    Attributes:
+        folder: A folder of .yaml files, as `xdex hand generate` writes.
+        out: Write the distributions as a .png figure.
+        sheet: Write pictures of hands as a .png contact sheet.
+        pictures: Number of hands on the contact sheet, spread over the folder.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    out: Path | None = None
+    sheet: Path | None = None
+    pictures: int = 48
+
+    def run(self) -> int:
+        """Prints tables, writes figures."""
+        for path in (self.out, self.sheet):
+            if path is not None:
+                check_output_file(path, ".png")
+        from xdex_drake.dataset.hand_sets import read_hand_rows
+
+        rows = read_hand_rows(self.folder)
+        _print_statistics(rows)
+        if self.out is not None:
+            from xdex_drake.visualization.hand_sets import statistics_figure
+
+            _write_png(self.out, statistics_figure(rows))
+            print(f"\ndistributions: {self.out}")
+        if self.sheet is not None:
+            from xdex_drake.hand.library import load_hand
+            from xdex_drake.visualization.hand_sets import hands_sheet
+
+            chosen = _spread(rows, max(1, self.pictures))
+            hands = [load_hand(self.folder / f"{row.name}.yaml") for row in chosen]
+            _write_png(self.sheet, hands_sheet(hands))
+            print(f"{len(hands)} pictures: {self.sheet}")
+        return 0
+
+
+@dataclass(frozen=True)
+class HandCheck:
+    """Checks hands: inertias, limits, overlaps at rest, whether they can grasp, and a second at rest in Drake.
+
+    Try `xdex hand check allegro`, or give a folder of hands.
+
+    Attributes:
+        hands: Names, paths, or folders of .yaml files.
+        seconds: Time that each hand is simulated at rest.
+        workers: Number of processes.
+    """
+
+    hands: tyro.conf.Positional[HandNames]
+    seconds: float = 1.0
+    workers: int = 1
+
+    def run(self) -> int:
+        """Prints what is wrong; exit status 1 where something is."""
+        one_thread()
+        from xdex_drake.dataset.hand_sets import check_hands
+
+        names = _named(self.hands)
+        with progress(len(names), "hands") as bar:
+
+            def tell(done: int) -> None:
+                bar.n = done
+                bar.refresh()
+
+            # One hand is checked here: a process of its own would take longer to start.
+            workers = 0 if len(names) == 1 else self.workers
+            reasons = check_hands(names, seconds=self.seconds, workers=workers, on_done=tell)
+        if reasons:
+            print(table([(name, said) for name, all_said in reasons.items() for said in all_said], ("hand", "reason")))
+        print(f"{len(names) - len(reasons)} of {len(names)} hands are sound")
+        return 1 if reasons else 0
+
+
+@dataclass(frozen=True)
+class HandBrowse:
+    """A few dozen hands in Meshcat, one at a time, with a slider for every joint.
+
+    Try `xdex hand browse allegro g0-0000 g0-0001 --html hands.html`, or give a folder of hands.
+
+    Attributes:
+        hands: Names, paths, or folders of .yaml files.
+        html: The page to write; it works offline.
+        most: Greatest number of hands of the page, spread over those that are given.
+    """
+
+    hands: tyro.conf.Positional[HandNames]
+    html: Path = Path("hands.html")
+    most: int = 48
+
+    def run(self) -> int:
+        """Writes the page."""
+        check_output_file(self.html, ".html")
+        from xdex_drake.cli.show import write_text
+        from xdex_drake.hand.library import load_hand
+        from xdex_drake.visualization.hand_browser import browser_page
+
+        names = _spread(_named(self.hands), max(1, self.most))
+        hands = [load_hand(name) for name in names]
+        write_text(self.html, browser_page(hands, title=f"{len(hands)} hands" if len(hands) > 1 else hands[0].name))
+        print(f"{len(hands)} hands: {self.html}")
+        return 0
+
+
+def _named(hands: Sequence[str]) -> list[str]:
+    """Names and paths, folders as the files in them."""
+    from xdex_drake.dataset.hand_sets import hand_files
+    from xdex_drake.errors import ConfigError
+
+    names = []
+    for hand in hands:
+        names += [str(path) for path in hand_files(hand)] if Path(hand).is_dir() else [hand]
+    if not names:
+        raise ConfigError("no hand is given; give names, paths or folders")
+    return names
+
+
+def _spread(items: Sequence[Item], most: int) -> list[Item]:
+    """Items at even distances."""
+    count = min(most, len(items))
+    return [items[k * len(items) // count] for k in range(count)]
+
+
+def _print_statistics(rows: Sequence[HandRow]) -> None:
+    bases = Counter(row.base for row in rows)
+    rejected = Counter(reason for row in rows for reason in row.rejected)
+    print(
+        facts(
+            [
+                ("hands", f"{len(rows)} ({', '.join(f'{count} {base}' for base, count in sorted(bases.items()))})"),
+                ("topologies", len({row.topology for row in rows})),
+                ("draws refused", counts(rejected)),
+            ]
+        )
+    )
+    columns = {
+        "links": [row.links for row in rows],
+        "joints": [row.joints for row in rows],
+        "actuated joints": [row.actuated for row in rows],
+        "fingers": [len(row.fingers) for row in rows],
+        "size [mm]": [round(1000.0 * row.size_m) for row in rows],
+        "mass [g]": [round(1000.0 * row.mass_kg) for row in rows],
+    }
+    lines = []
+    for name, values in columns.items():
+        ordered = sorted(values)
+        lines.append((name, ordered[0], ordered[len(ordered) // 2], ordered[-1]))
+    print("\n" + table(lines, ("", "least", "median", "greatest")))
+
+
+def _write_png(path: Path, image: object) -> None:
+    """Writes a picture that appears whole or not at all."""
+    import os
+
+    import numpy as np
+    from PIL import Image
+
+    from xdex_drake.errors import ConfigError
+
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.asarray(image)).save(partial, format="PNG")
+        os.replace(partial, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None
+    finally:
+        partial.unlink(missing_ok=True)
