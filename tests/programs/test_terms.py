@@ -107,6 +107,31 @@ def test_alignment(seed):
 
 
 @pytest.mark.parametrize("seed", CASES)
+@pytest.mark.parametrize("least", [-0.5, 0.9])
+def test_approach(seed, least):
+    rng = np.random.default_rng(seed)
+    a, d = unit(rng), unit(rng)
+    value, gradient = terms.approach(a, d, least)
+    close(gradient, numeric(lambda x: terms.approach(x, d, least)[0], a))
+    assert value == pytest.approx(max(0.0, least - a @ d))
+    there = terms.approach(torch.as_tensor(a[None]), torch.as_tensor(d), least)
+    assert np.abs(there[1].numpy()[0] - gradient).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", CASES)
+@pytest.mark.parametrize("least", [0.5, 2.0])
+def test_finger_spread(seed, least):
+    rng = np.random.default_rng(seed)
+    p, w = rng.normal(size=(4, 3)), np.array([1.0, 0.0, 1.0, 1.0])
+    value, gradient = terms.finger_spread(p, least, w)
+    close(gradient, numeric(lambda x: terms.finger_spread(x, least, w)[0], p))
+    pairs = [(0, 2), (0, 3), (2, 3)]
+    assert value == pytest.approx(sum(max(0.0, least - np.linalg.norm(p[i] - p[j])) for i, j in pairs))
+    there = terms.finger_spread(torch.as_tensor(p[None]), least, torch.as_tensor(w[None]))
+    assert np.abs(there[1].numpy()[0] - gradient).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", CASES)
 def test_keypoints(seed):
     rng = np.random.default_rng(seed)
     p, goal, w = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.uniform(size=5)

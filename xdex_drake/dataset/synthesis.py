@@ -14,7 +14,7 @@ from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
-from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
+from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import SearchSettings, search
@@ -207,9 +207,11 @@ def candidates_of_batch(
     start = time.perf_counter()
     found = search(hand, scene, count=settings.batch, seed=seed, settings=settings.search)
     share = (time.perf_counter() - start) / settings.batch
+    costs = wishes(hand, settings.search)
     for row in range(max(1, round(settings.keep * len(found.energy)))):
         tally.tried += 1
-        outcome = polish(program_of_candidate(hand, scene, found, row, settings=settings.polish), settings)
+        program = program_of_candidate(hand, scene, found, row, settings=settings.polish, extra_costs=costs)
+        outcome = polish(program, settings)
         if outcome.grasp is None:
             tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
             continue

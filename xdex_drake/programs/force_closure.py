@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import constraints
+from xdex_drake.programs.grasp_types import GraspType, approach_cost, contact_slots, spread_cost
 from xdex_drake.programs.point import ContactSet, Point
 from xdex_drake.programs.program import Cost, GraspProgram, LeastSquares
 from xdex_drake.programs.search import Candidates, SearchSettings, search, sphere_pairs
@@ -45,21 +46,21 @@ class PolishSettings:
 
 
 def contact_set(hand: Hand, scene: Scene, k: Configuration, fingers: NDArray[np.bool_]) -> ContactSet:
-    """For each finger that shall touch, the sphere of its tip link that is nearest to the object.
+    """For each slot that shall touch, the sphere of its link that is nearest to the object.
 
     Args:
         hand: The hand.
         scene: The scene.
         k: The configuration.
-        fingers: Which fingers shall touch, in the order of `hand.fingers`.
+        fingers: Which fingers shall touch, in the order of `hand.fingers`, and where there is one more, the palm.
 
     Returns:
         The contact set.
     """
     spheres, links, chosen = [], [], []
+    slots = contact_slots(hand)
     for f in np.flatnonzero(fingers):
-        link = hand.link_index[hand.fingers[f].tip_link]
-        rows = np.flatnonzero(hand.sphere_links == link)
+        link, rows = slots[f].link, slots[f].spheres
         centers = k.points(np.full(len(rows), link), hand.spheres[rows, :3])
         gaps = scene.object.exact.query(_to_object(scene, centers)).distance
         best = rows[int(np.argmin(gaps - hand.spheres[rows, 3]))]
@@ -110,7 +111,8 @@ def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constrai
     touching = np.isin(hand.sphere_links[others], contacts.links)
     heights = start.centers_W[:, 2] - hand.spheres[:, 3]
     low = np.flatnonzero(heights < 0.04)
-    pads = np.array([hand.fingers[f].n_LPad for f in contacts.fingers])
+    slots = contact_slots(hand)
+    pads = np.array([slots[f].n_LPad for f in contacts.fingers])
     return (
         constraints.contact_block(len(contacts.spheres)),
         constraints.object_block(others, np.where(touching, 0.0, settings.clearance)),
@@ -201,7 +203,7 @@ def polish_program(
         scene: The scene.
         X_WH: Wrist pose of the start.
         q: Joint values of the start, shape (n,).
-        fingers: Which fingers shall touch, in the order of `hand.fingers`.
+        fingers: Which fingers shall touch, in the order of `hand.fingers`, and where there is one more, the palm.
         settings: Numbers; the defaults where None.
         extra_costs: Costs beside posture and effort.
         name: Name of the program.
@@ -223,6 +225,8 @@ def force_closure_program(
     scene: Scene,
     *,
     contacts: int = 4,
+    grasp_type: GraspType = "any",
+    approach: tuple[float, float, float] | None = None,
     seed: int = 0,
     starts: int = 16,
     search_settings: SearchSettings | None = None,
@@ -234,6 +238,8 @@ def force_closure_program(
         hand: The hand.
         scene: The scene.
         contacts: Greatest number of fingers that touch.
+        grasp_type: Type of grasp.
+        approach: Direction that the palm shall come along, in W; any where None.
         seed: Seed of the search.
         starts: Number of candidates of the search.
         search_settings: Settings of the search; the defaults where None.
@@ -242,20 +248,29 @@ def force_closure_program(
     Returns:
         The program, open to more costs and constraints.
     """
-    from dataclasses import replace
+    chosen = replace(search_settings or SearchSettings(), contacts=contacts, grasp_type=grasp_type, approach=approach)
+    found = search(hand, scene, count=starts, seed=seed, settings=chosen)
+    return program_of_candidate(hand, scene, found, 0, settings=settings, extra_costs=wishes(hand, chosen))
 
-    found = search(
-        hand,
-        scene,
-        count=starts,
-        seed=seed,
-        settings=replace(search_settings or SearchSettings(), contacts=contacts),
-    )
-    return program_of_candidate(hand, scene, found, 0, settings=settings)
+
+def wishes(hand: Hand, settings: SearchSettings) -> tuple[Cost, ...]:
+    """Costs that hold a polish to what its search was asked for beside a grasp: approach and spread."""
+    costs: list[Cost] = []
+    if settings.approach is not None:
+        costs.append(approach_cost(hand, settings.approach, least=settings.approach_cosine))
+    if settings.spread > 0.0:
+        costs.append(spread_cost(settings.spread))
+    return tuple(costs)
 
 
 def program_of_candidate(
-    hand: Hand, scene: Scene, found: Candidates, row: int, *, settings: PolishSettings | None = None
+    hand: Hand,
+    scene: Scene,
+    found: Candidates,
+    row: int,
+    *,
+    settings: PolishSettings | None = None,
+    extra_costs: tuple[Cost, ...] = (),
 ) -> GraspProgram:
     """The force-closure program that polishes one candidate of a search.
 
@@ -265,9 +280,12 @@ def program_of_candidate(
         found: Candidates.
         row: Which one.
         settings: Numbers; the defaults where None.
+        extra_costs: Costs beside posture and effort, such as `wishes` of the search's settings.
 
     Returns:
         The program.
     """
     X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(found.R_WHs[row]), found.p_WHs[row])
-    return polish_program(hand, scene, X_WH, found.qs[row], found.fingers[row], settings=settings)
+    return polish_program(
+        hand, scene, X_WH, found.qs[row], found.fingers[row], settings=settings, extra_costs=extra_costs
+    )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +16,8 @@ from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import load_hand
-from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
+from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
+from xdex_drake.programs.grasp_types import GraspType
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import EnergyWeights, SearchSettings, search
 from xdex_drake.programs.solve import ProgramResult
@@ -115,6 +116,9 @@ class Problem:
         seed: Seed of the search.
         starts: Candidates of the search; they are polished best first until one is solved.
         contacts: Greatest number of fingers that touch.
+        grasp_type: Type of grasp: any, pinch, tripod or power.
+        approach: Direction that the palm shall come along, in W; [0, 0, -1] is from above; any where it is left out.
+        spread: Distance that contact points shall keep from each other [m].
         weights: Weights of the search's energy, Eq. (1).
         polish: Weights of the program's costs and numbers of its constraints.
         reaches: What a good solution reaches.
@@ -132,6 +136,9 @@ class Problem:
     seed: int = 0
     starts: int = 16
     contacts: int = 4
+    grasp_type: GraspType = "any"
+    approach: tuple[float, float, float] | None = None
+    spread: float = 0.0
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     polish: PolishSettings = field(default_factory=PolishSettings)
     reaches: Reaches = field(default_factory=Reaches)
@@ -152,6 +159,12 @@ class Problem:
         if (self.program == "force_closure") != (self.source is None):
             need = "needs a source; name its problem" if self.source is None else "takes no source; leave it out"
             raise ProblemFileError(f"program {self.program} {need}")
+        if self.approach is not None and (len(self.approach) != 3 or not any(self.approach)):
+            raise ProblemFileError(
+                f"approach is {list(self.approach)}; give three numbers, such as [0, 0, -1] from above"
+            )
+        if not 0.0 <= self.spread < 0.5:
+            raise ProblemFileError(f"spread is {self.spread} m; give a distance between 0 and 0.5")
         if self.jitter < 0.0:
             raise ProblemFileError(f"jitter is {self.jitter}; give 0 or more")
 
@@ -225,7 +238,14 @@ def force_closure_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterat
     Yields:
         The programs.
     """
-    settings = replace(SearchSettings(), weights=problem.weights, contacts=problem.contacts)
+    settings = SearchSettings(
+        weights=problem.weights,
+        contacts=problem.contacts,
+        grasp_type=problem.grasp_type,
+        approach=problem.approach,
+        spread=problem.spread,
+    )
     found = search(hand, scene, count=problem.starts, seed=problem.seed, settings=settings)
+    costs = wishes(hand, settings)
     for row in range(len(found.energy)):
-        yield program_of_candidate(hand, scene, found, row, settings=problem.polish)
+        yield program_of_candidate(hand, scene, found, row, settings=problem.polish, extra_costs=costs)

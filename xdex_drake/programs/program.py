@@ -197,6 +197,10 @@ class GraspProgram:
         """
         self._add_cost(UserCost(name, weight, function))
 
+    def add(self, cost: Cost) -> None:
+        """Adds a cost of the library, such as `approach_cost(hand, (0, 0, -1))`, seen by every solver."""
+        self._add_cost(cost)
+
     def add_constraint(self, block: Block) -> None:
         """Adds a constraint of the user's own, seen by every solver."""
         self._add_constraint(block)

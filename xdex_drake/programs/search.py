@@ -15,10 +15,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from xdex_drake.contact.cones import cross_matrices
 from xdex_drake.hand.collision import self_collision_pairs
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import BatchedHand, rotation_step
 from xdex_drake.programs import terms
+from xdex_drake.programs.grasp_types import GraspType, approach_axis, contact_slots, random_contact_sets
 from xdex_drake.scene.distance import DistanceGrid
 from xdex_drake.scene.tabletop import Scene
 
@@ -34,6 +36,8 @@ class EnergyWeights:
         j: Joint limits.
         s: Self-collision.
         pad: Alignment of contact normals with the pads of the fingers.
+        approach: The palm's direction, where one is asked for.
+        spread: Distance between contacts, where one is asked for.
     """
 
     fc: float = 10.0
@@ -42,6 +46,8 @@ class EnergyWeights:
     j: float = 1.0
     s: float = 50.0
     pad: float = 3.0
+    approach: float = 10.0
+    spread: float = 100.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,10 @@ class SearchSettings:
         estimator: "wrench" for forces in exact cones, "normals" for the paper's estimator |G n|^2.
         pad_cosine: Cosine between contact normal and pad normal that is enough.
         clearance: Distance from the object that spheres without contact keep in the search [m].
+        grasp_type: Type of grasp: which fingers, and whether the palm, carry contact.
+        approach: Direction that the palm shall come along, in W, of any length; any where None.
+        approach_cosine: Cosine between the palm's direction and that one that is enough.
+        spread: Distance that contact points shall keep from each other [m]; any where 0.
     """
 
     weights: EnergyWeights = field(default_factory=EnergyWeights)
@@ -75,6 +85,10 @@ class SearchSettings:
     estimator: str = "wrench"
     pad_cosine: float = 0.6
     clearance: float = 0.001
+    grasp_type: GraspType = "any"
+    approach: tuple[float, float, float] | None = None
+    approach_cosine: float = 0.9
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +99,8 @@ class Candidates:
         R_WHs: Wrist rotations, shape (B, 3, 3).
         p_WHs: Wrist origins [m], shape (B, 3).
         qs: Actuated joint values [rad or m], shape (B, n).
-        fingers: Which fingers shall touch, in the order of `hand.fingers`, shape (B, n_fingers).
+        fingers: Which slots shall touch: the fingers, in the order of `hand.fingers`, and for a power grasp the
+            palm, shape (B, n_slots).
         energy: Total energy, shape (B,).
         terms: Unweighted value of each term, each of shape (B,).
     """
@@ -180,10 +195,11 @@ class SearchProblem:
         p_WOcm: Center of mass [m], shape (3,).
         length: Length that divides torques [m].
         friction: Coefficient of friction.
-        tip_spheres: For each finger the indices of its tip link's spheres, padded by repetition, shape (n_fingers, k).
-        tip_links: Index of each finger's tip link, shape (n_fingers,).
-        pads: Pad normal of each finger in its tip link, shape (n_fingers, 3).
+        tip_spheres: Indices of each slot's spheres (`contact_slots`), padded by repetition, shape (n_slots, k).
+        tip_links: Index of each slot's link, shape (n_slots,).
+        pads: Pad normal of each slot in its link, shape (n_slots, 3).
         pairs: Indices of pairs of spheres that must not overlap, shape (m, 2).
+        approach: Axis of the hand along which the palm approaches, in H, shape (3,).
         settings: Settings.
     """
 
@@ -198,6 +214,7 @@ class SearchProblem:
     tip_links: torch.Tensor
     pads: torch.Tensor
     pairs: torch.Tensor
+    approach: torch.Tensor
     settings: SearchSettings
 
 
@@ -257,8 +274,10 @@ def search_problem(
     def tensor(values: object) -> torch.Tensor:
         return torch.tensor(np.asarray(values, dtype=float), dtype=dtype, device=device)
 
-    tips = [hand.link_index[f.tip_link] for f in hand.fingers]
-    rows = [np.flatnonzero(hand.sphere_links == tip) for tip in tips]
+    settings = settings or SearchSettings()
+    slots = contact_slots(hand)
+    slots = slots if settings.grasp_type == "power" else slots[:-1]
+    rows = [slot.spheres for slot in slots]
     width = max(len(r) for r in rows)
     padded = np.array([np.resize(r, width) for r in rows])
     return SearchProblem(
@@ -270,10 +289,11 @@ def search_problem(
         length=scene.object.length,
         friction=scene.object.friction,
         tip_spheres=torch.as_tensor(padded, device=device),
-        tip_links=torch.as_tensor(np.array(tips), device=device),
-        pads=tensor([f.n_LPad for f in hand.fingers]),
+        tip_links=torch.as_tensor(np.array([slot.link for slot in slots]), device=device),
+        pads=tensor([slot.n_LPad for slot in slots]),
         pairs=torch.as_tensor(sphere_pairs(hand, spacing=1.4, base=False), device=device),
-        settings=settings or SearchSettings(),
+        approach=tensor(approach_axis(hand)[1]),
+        settings=settings,
     )
 
 
@@ -285,8 +305,8 @@ class State:
         R_WH: Wrist rotations, shape (B, 3, 3).
         p_WH: Wrist origins [m], shape (B, 3).
         q: Joint values, shape (B, n).
-        fingers: 1 where a finger shall touch, shape (B, n_fingers).
-        forces: Contact forces in W, warm-started from step to step, shape (B, n_fingers, 3).
+        fingers: 1 where a slot shall touch, shape (B, n_slots).
+        forces: Contact forces in W, warm-started from step to step, shape (B, n_slots, 3).
     """
 
     R_WH: torch.Tensor
@@ -366,6 +386,10 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
     g_centers.index_add_(1, b, weights.s * g_b)
     on_normal = weights.fc * g_normal + weights.pad * g_pad_normal
     on_point = weights.fc * g_point
+    wishes = {}
+    if settings.spread > 0.0:
+        wishes["spread"], g_spread = terms.finger_spread(points, settings.spread, mask)
+        on_point = on_point + weights.spread * g_spread
     # A contact is the surface point nearest to its sphere: dp = (1 - n n^T - d H) dc, dn_in = -H dc.
     Ht = H.transpose(-1, -2)
     g_contact = (
@@ -381,6 +405,11 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
         poses, tips, contact_centers, g_contact, torque=weights.pad * terms.cross(pad_W, g_pad)
     )
     gradient[:, 6:] += weights.j * g_j
+    if settings.approach is not None:
+        a_W = state.R_WH @ problem.approach
+        wanted = torch.as_tensor(settings.approach, dtype=a_W.dtype, device=a_W.device)
+        wishes["approach"], g_a = terms.approach(a_W, wanted / wanted.norm(), settings.approach_cosine)
+        gradient[:, :3] += weights.approach * terms.cross(a_W, g_a)
     values = {
         "fc": value_fc,
         "dis": value_dis,
@@ -388,6 +417,7 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
         "j": value_j,
         "s": value_s,
         "pad": value_pad,
+        **wishes,
     }
     energy = sum(getattr(weights, name) * value for name, value in values.items())
     return energy, gradient, values  # type: ignore[return-value]
@@ -426,32 +456,6 @@ def descend(problem: SearchProblem, state: State) -> tuple[torch.Tensor, dict[st
     return energy, values
 
 
-def grasp_center(hand: Hand) -> tuple[Array, Array]:
-    """Where a hand at rest would hold an object, and from which direction it comes, in H.
-
-    Args:
-        hand: The hand.
-
-    Returns:
-        The midpoint of the thumb's tip and the mean of the other tips [m], shape (3,), and the unit vector from the
-        palm to it.
-    """
-    from pydrake.math import RigidTransform
-
-    from xdex_drake.hand.kinematics import Configuration
-
-    at_rest = Configuration.at(hand, RigidTransform(), hand.q_rest)
-    links = np.array([hand.link_index[f.tip_link] for f in hand.fingers])
-    tips = at_rest.points(links, np.array([f.p_LTip for f in hand.fingers]))
-    thumb = np.array([f.name == "thumb" for f in hand.fingers])
-    opposed = thumb.any() and not thumb.all()
-    center = 0.5 * (tips[thumb].mean(0) + tips[~thumb].mean(0)) if opposed else tips.mean(0)
-    # The palm: the mean of the roots of the fingers.
-    roots = np.array([hand.link_index[f.links[0]] for f in hand.fingers])
-    direction = center - at_rest.p_WLs[roots].mean(0)
-    return center, direction / np.linalg.norm(direction)
-
-
 def random_rotations(rng: np.random.Generator, count: int) -> Array:
     """Uniformly random rotations, shape (count, 3, 3)."""
     q = rng.normal(size=(count, 4))
@@ -466,32 +470,22 @@ def random_rotations(rng: np.random.Generator, count: int) -> Array:
     )
 
 
-def random_contact_sets(hand: Hand, rng: np.random.Generator, count: int, contacts: int) -> NDArray[np.bool_]:
-    """Which fingers shall touch: the thumb, where there is one, and some neighbouring others.
+def turned_towards(R_WHs: Array, axis_H: Array, directions_W: Array) -> Array:
+    """Rotations turned, each by the least angle, until an axis of the hand points along a direction.
 
     Args:
-        hand: The hand.
-        rng: Source of randomness.
-        count: How many sets.
-        contacts: Greatest number of fingers in a set.
+        R_WHs: Rotations, shape (n, 3, 3).
+        axis_H: Unit axis in H, shape (3,).
+        directions_W: Unit directions, shape (n, 3).
 
     Returns:
-        Sets, in the order of `hand.fingers`, shape (count, n_fingers).
+        Rotations, shape (n, 3, 3).
     """
-    names = [f.name for f in hand.fingers]
-    thumb = [k for k, name in enumerate(names) if name == "thumb"]
-    others = [k for k, name in enumerate(names) if name != "thumb"]
-    sets = np.zeros((count, len(names)), dtype=bool)
-    most = min(contacts - len(thumb), len(others))
-    # Two hard fingers cannot resist a torque about the line between them, so pinches are left to hands that can do no
-    # more.
-    least = min(2, most)
-    for row in sets:
-        size = int(rng.integers(least, most + 1))
-        first = int(rng.integers(0, len(others) - size + 1))
-        row[thumb] = True
-        row[others[first : first + size]] = True
-    return sets
+    a = R_WHs @ axis_H
+    v, c = np.cross(a, directions_W), (a * directions_W).sum(1)
+    S = cross_matrices(v)
+    # Rodrigues; opposite vectors leave the least turn open, and uniformly random ones are never opposite.
+    return (np.eye(3) + S + S @ S / (1.0 + c + 1e-12)[:, None, None]) @ R_WHs
 
 
 def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, seed: int) -> State:
@@ -513,8 +507,13 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     rng = np.random.default_rng(seed)
     batched, settings = problem.batched, problem.settings
     total = count * settings.oversample
-    center_H, direction_H = grasp_center(hand)
+    center_H, direction_H = approach_axis(hand)
     R_WHs = random_rotations(rng, 4 * total)
+    if settings.approach is not None:
+        wanted = np.array(settings.approach) / np.linalg.norm(settings.approach)
+        spread_out = wanted + 0.3 * rng.normal(size=(len(R_WHs), 3))
+        spread_out /= np.linalg.norm(spread_out, axis=1, keepdims=True)
+        R_WHs = turned_towards(R_WHs, direction_H, spread_out)
     # From below the table no hand comes; straight sideways is as far as it goes.
     approach = R_WHs @ direction_H
     keep = np.flatnonzero(approach[:, 2] < 0.35)[:total]
@@ -529,7 +528,7 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     limits = hand.limits
     spread = 0.12 * (limits[1] - limits[0])
     qs = np.clip(hand.q_rest + spread * rng.normal(size=(total, len(hand.q_rest))), limits[0], limits[1])
-    fingers = random_contact_sets(hand, rng, total, settings.contacts)
+    fingers = random_contact_sets(hand, rng, total, settings.contacts, settings.grasp_type)
 
     def tensor(values: Array) -> torch.Tensor:
         return torch.tensor(values, dtype=batched.dtype, device=batched.device)
@@ -557,7 +556,7 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
         p_WH=p_start,
         q=tensor(qs[rows]),
         fingers=mask,
-        forces=torch.zeros((len(rows), len(hand.fingers), 3), dtype=batched.dtype, device=batched.device),
+        forces=torch.zeros((*mask.shape, 3), dtype=batched.dtype, device=batched.device),
     )
 
 

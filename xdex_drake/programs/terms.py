@@ -191,6 +191,45 @@ def alignment(a_Ws: Any, b_Ws: Any, least: float, weights: Any) -> tuple[Any, An
     return (weights * short).sum(-1), -active * b_Ws, -active * a_Ws
 
 
+def approach(a_Ws: Any, direction_W: Any, least: float) -> tuple[Any, Any]:
+    """How far the palm's direction falls short of a wanted one.
+
+    E = max(0, least - a . d)
+
+    Args:
+        a_Ws: Unit vector along which the palm approaches, shape (..., 3).
+        direction_W: Unit vector along which it shall, shape (3,).
+        least: Cosine that is enough.
+
+    Returns:
+        Value, shape (...), and gradient with respect to `a_Ws`, shape (..., 3).
+    """
+    short = (least - (a_Ws * direction_W).sum(-1)).clip(min=0.0)
+    return short, -(1.0 * (short > 0.0))[..., None] * direction_W
+
+
+def finger_spread(p_WPs: Any, least: float, weights: Any) -> tuple[Any, Any]:
+    """How far points, such as contacts or fingertips, are nearer to each other than wanted.
+
+    E = sum over pairs of w_i w_j max(0, least - |p_i - p_j|)
+
+    Args:
+        p_WPs: Points [m], shape (..., m, 3).
+        least: Distance that is enough [m].
+        weights: 1 for points that count and 0 for others, shape (..., m).
+
+    Returns:
+        Value [m], shape (...), and gradient with respect to `p_WPs`, shape (..., m, 3).
+    """
+    between = p_WPs[..., :, None, :] - p_WPs[..., None, :, :]
+    distance = ((between * between).sum(-1) + 1e-18) ** 0.5
+    apart = (between * between).sum(-1) > 0.0  # no point counts against itself
+    pairs = weights[..., :, None] * weights[..., None, :] * apart
+    short = (least - distance).clip(min=0.0)
+    pull = (pairs * (short > 0.0) / distance)[..., None] * between
+    return 0.5 * (pairs * short).sum((-1, -2)), -pull.sum(-2)
+
+
 def keypoints(p_WPs: Any, targets_W: Any, weights: Any) -> tuple[Any, Any]:
     """Squared distances of keypoints from their targets: the first sum of Eq. (2), and of Eq. (6).
 
