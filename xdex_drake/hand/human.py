@@ -12,6 +12,7 @@ fingertips, the origin at the wrist (frame H).
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -140,6 +141,9 @@ FINGERTIP_FORCE = {"thumb": 60.0, "index": 40.0, "middle": 40.0, "ring": 28.0, "
 SOFTNESS = 0.96
 """Radii are this fraction of half the breadth: neighbouring fingers touch in life, and skin yields."""
 
+CLEARANCE = 1e-3
+"""Gap between the bases of neighbouring fingers [m]."""
+
 _JOINTS = {"thumb": ("cmc_opposition", "cmc_abduction", "mcp", "ip")}
 _FINGER_JOINTS = ("mcp_abduction", "mcp", "pip", "dip")
 _SEGMENT_NAMES = {"thumb": ("metacarpal", "proximal", "distal")}
@@ -228,7 +232,7 @@ def human_hand(shape: HumanShape = MEAN_SHAPE, *, name: str = "human") -> Hand:
         The hand; its middle finger ends exactly at `shape.hand_length`.
     """
     lengths = _segment_lengths(shape)
-    radii = _segment_radii(shape)
+    radii = _segment_radii(shape, lengths)
     links = [_link("palm", _palm(shape, lengths))]
     joints: list[Joint] = []
     fingers: list[Finger] = []
@@ -295,7 +299,7 @@ def _segment_lengths(shape: HumanShape) -> dict[str, tuple[float, float, float]]
     return {digit: (float(v[0]), float(v[1]), float(v[2])) for digit, v in lengths.items()}
 
 
-def _segment_radii(shape: HumanShape) -> dict[str, Array]:
+def _segment_radii(shape: HumanShape, lengths: dict[str, tuple[float, float, float]]) -> dict[str, Array]:
     """Radii at both ends of each segment, four a digit from the base to the tip [m], shape (4,)."""
     girth = shape.hand_circumference / shape.hand_breadth / (MEAN_SHAPE.hand_circumference / MEAN_SHAPE.hand_breadth)
     scale = 0.5 * SOFTNESS * shape.hand_breadth * girth * shape.thickness
@@ -305,6 +309,11 @@ def _segment_radii(shape: HumanShape) -> dict[str, Array]:
         # A breadth is the mean of a near and a far value; segments share the value at their joint.
         ends = (0.30, 0.255, 0.215, 0.185) if digit == "thumb" else (1.03 * a, 0.5 * (a + b), 0.5 * (b + c), 0.88 * c)
         radii[digit] = scale * np.array(ends)
+    # Thick fingers flatten where they touch; here they become as thin as the knuckles leave them room.
+    for a, b in pairwise(FINGERS):
+        gap = np.linalg.norm(_knuckle(a, shape, lengths) - _knuckle(b, shape, lengths)) - CLEARANCE
+        share = min(1.0, float(gap / (radii[a][0] + radii[b][0])))
+        radii[a], radii[b] = np.minimum(radii[a], share * radii[a][0]), np.minimum(radii[b], share * radii[b][0])
     return radii
 
 
