@@ -55,7 +55,7 @@ def test_a_block_slips_where_the_tangent_of_the_slope_is_mu(block, share, slides
     plant.Finalize()
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    plant.SetFreeBodyPose(context, body, RigidTransform([0.0, 0.0, 0.015]))
+    plant.SetFreeBodyPose(context, body, RigidTransform([-0.8, 0.0, 0.015]))
     simulator.AdvanceTo(0.5)
     start, speed = (plant.EvalBodyPoseInWorld(context, body).translation()[0], plant.GetVelocities(context)[3])
     simulator.AdvanceTo(1.5)
