@@ -30,9 +30,9 @@ def test_an_unknown_name_lists_close_ones() -> None:
         load_hand("qqqq")
 
 
-@pytest.mark.parametrize("name", ["hand.urdf", "some/where/hand.xml", "HAND.URDF"])
-def test_import_is_refused_with_a_remedy(name) -> None:
-    with pytest.raises(HandFileError, match="describe the hand as YAML"):
+@pytest.mark.parametrize("name", ["hand.urdf", "some/where/hand.xml", "HAND.URDF", "hand.sdf"])
+def test_an_absent_robot_file_is_one_error(name) -> None:
+    with pytest.raises(HandFileError, match="no such file"):
         load_hand(name)
 
 

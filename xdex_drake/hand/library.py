@@ -55,7 +55,8 @@ def load_hand(name_or_path: str | Path) -> Hand:
         close = difflib.get_close_matches(text.lower(), names, n=3, cutoff=0.4)
         mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names) or 'none'}"
         raise UnknownHand(
-            f"there is no hand {text!r}; {mend} (a path to a .yaml or .urdf file also works, and g0-0137 is a generated hand)"
+            f"there is no hand {text!r}; {mend} (a path to a .yaml or .urdf file also works, and g0-0137 is a "
+            "generated hand)"
         )
     return _load_from_library(text)
 
