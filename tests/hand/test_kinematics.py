@@ -5,7 +5,8 @@ import pytest
 import torch
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from xdex_drake.hand.kinematics import BatchedHand, Configuration, rotation_step
+from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands, rotation_step
+from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.scene.plant import build_plant
 
@@ -80,6 +81,57 @@ def test_batched_adjoint_and_jacobian_agree(name):
         assert np.abs(k.jacobian(links.numpy(), points[b].numpy()) - J[b].numpy()).max() < 1e-12
 
 
+@pytest.mark.parametrize("name", ["allegro", "schunk_svh"])
+def test_fixed_points_agree_with_points(name):
+    hand, rng = load_hand(name), np.random.default_rng(4)
+    batched, B = BatchedHand(hand, dtype=torch.float64), 3
+    configurations = [random_configuration(hand, rng) for _ in range(B)]
+    R = torch.as_tensor(np.array([X.rotation().matrix() for X, _ in configurations]))
+    p = torch.as_tensor(np.array([X.translation() for X, _ in configurations]))
+    q = torch.as_tensor(np.array([q for _, q in configurations]))
+    poses = batched.forward(R, p, q)
+    links = torch.as_tensor(hand.sphere_links)
+    points = batched.points(poses, links, torch.as_tensor(hand.spheres[:, :3]))
+    assert (batched.spheres.positions(poses).transpose(1, 2) - points).abs().max() < 1e-14
+    force = torch.as_tensor(rng.normal(size=points.shape))
+    wrenches = batched.spheres.wrenches(poses, force.transpose(1, 2))
+    assert (wrenches - batched.wrenches(links, points, force)).abs().max() < 1e-12
+    a, b = torch.arange(5), torch.arange(5, 10)
+    between = batched.spheres.subset(a).minus(batched.spheres.subset(b))
+    assert (between.positions(poses).transpose(1, 2) - (points[:, a] - points[:, b])).abs().max() < 1e-14
+
+
+def test_padded_hands_agree_with_each_hand_alone():
+    hands = [load_hand(name) for name in ("allegro", "inspire", "shadow")]
+    rng = np.random.default_rng(5)
+    padded = PaddedHands(hands, dtype=torch.float64)
+    rows = torch.tensor([0, 1, 2, 1, 0])
+    configurations = [random_configuration(hands[row], rng) for row in rows]
+    R = torch.as_tensor(np.array([X.rotation().matrix() for X, _ in configurations]))
+    p = torch.as_tensor(np.array([X.translation() for X, _ in configurations]))
+    q = torch.zeros((5, padded.n_actuated), dtype=torch.float64)
+    for b, (_, value) in enumerate(configurations):
+        q[b, : len(value)] = torch.as_tensor(value)
+    q.requires_grad_()
+    poses = padded.forward(rows, R, p, q)
+    spheres, there = padded.pad([hand.spheres for hand in hands])
+    links, _ = padded.pad([hand.sphere_links for hand in hands])
+    centers = padded.points(poses, links[rows], spheres[rows][..., :3])
+    value = (centers**2).sum(-1)[there[rows]].sum()
+    (by_torch,) = torch.autograd.grad(value, q)
+    for b, row in enumerate(rows):
+        hand = hands[row]
+        alone = BatchedHand(hand, dtype=torch.float64)
+        n, one = len(hand.joint_names), alone.forward(R[b : b + 1], p[b : b + 1], q[b : b + 1, : len(hand.joint_names)])
+        x = alone.spheres.positions(one)
+        assert (centers[b][there[row]] - x[0].T).abs().max() < 1e-12
+        gradient = alone.to_tangent(one, alone.spheres.wrenches(one, 2.0 * x))
+        assert (gradient[0, 6:] - by_torch[b, :n]).abs().max() < 1e-10
+        assert (by_torch[b, n:] == 0.0).all()
+        assert int(padded.links[row].sum()) == len(hand.links)
+        assert int(padded.actuated[row].sum()) == n
+
+
 def test_rotation_steps_stay_rotations():
     rng = np.random.default_rng(0)
     R = torch.eye(3, dtype=torch.float64).repeat(8, 1, 1)
@@ -87,3 +139,13 @@ def test_rotation_steps_stay_rotations():
         R = rotation_step(R, torch.as_tensor(rng.normal(size=(8, 3))))
     assert (R @ R.transpose(1, 2) - torch.eye(3)).abs().max() < 1e-12
     assert (torch.linalg.det(R) - 1.0).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["allegro", "ability", "schunk_svh"])
+def test_directional_derivatives_agree_with_the_jacobian(name):
+    hand, rng = load_hand(name), np.random.default_rng(6)
+    k = Configuration.at(hand, *random_configuration(hand, rng))
+    links = rng.integers(0, len(hand.links), 9)
+    points, along = k.points(links, rng.normal(size=(9, 3)) * 0.02), rng.normal(size=(9, 3))
+    rows = np.einsum("ka,kab->kb", along, k.jacobian(links, points))
+    assert np.abs(k.pull_back_each(links, points, along) - rows).max() < 1e-13

@@ -96,7 +96,7 @@ def test_the_gradient_of_the_wishes_agrees_with_differences(allegro, can_scene):
     import torch
 
     from tests.programs.test_search import Ball
-    from xdex_drake.hand.kinematics import rotation_step
+    from xdex_drake.hand.batched_kinematics import rotation_step
 
     settings = replace(
         SearchSettings(), estimator="normals", grasp_type="power", approach=(1.0, 0.0, -1.0), spread=0.08, contacts=3

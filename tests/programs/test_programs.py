@@ -70,7 +70,7 @@ def test_a_solved_program_touches_and_does_not_penetrate(allegro, can_scene, sol
 
 
 def test_drake_solvers_read_the_same_program(allegro, can_scene, found, solved):
-    row, _ = solved
+    row, ours = solved
     program = program_of_candidate(allegro, can_scene, found, row)
     x0 = program.prog.initial_guess()
     # The MathematicalProgram's constraints are the blocks.
@@ -79,8 +79,9 @@ def test_drake_solvers_read_the_same_program(allegro, can_scene, found, solved):
         if block.name in bindings:
             value = bindings[block.name].evaluator().Eval(x0)
             assert np.allclose(value, block.at(program.start)[0], atol=1e-9)
-    result = solve(program, solver="snopt")
-    assert result.violations["contact"] < 1.0
+    # What our solver calls solved, SNOPT does too: it may lower the costs, but finds no constraint to mend.
+    program.prog.SetInitialGuess(program.variables, program.values(ours.point))
+    assert solve(program, solver="snopt").success
 
 
 def test_rates_of_the_decision_variables(allegro, can_scene, found):

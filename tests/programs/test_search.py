@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from xdex_drake.hand.kinematics import rotation_step
+from xdex_drake.hand.batched_kinematics import rotation_step
 from xdex_drake.hand.library import load_hand
 from xdex_drake.programs.search import SearchSettings, TorchGrid, evaluate, sample_starts, search, search_problem
 
@@ -36,13 +36,14 @@ class Ball:
     def __init__(self, center, radius):
         self.center, self.radius = torch.as_tensor(np.asarray(center, dtype=float)), radius
 
-    def nearest(self, p):
-        away = p - self.center
-        size = away.norm(dim=-1)
-        return size - self.radius, away / size[..., None]
+    def nearest(self, x):
+        d, n, _ = self.smooth(x.transpose(1, 2))
+        return d, n.transpose(1, 2)
 
     def smooth(self, p):
-        d, n = self.nearest(p)
+        away = p - self.center
+        size = away.norm(dim=-1)
+        d, n = size - self.radius, away / size[..., None]
         across = torch.eye(3, dtype=p.dtype) - n[..., :, None] * n[..., None, :]
         return d, n, across / (d + self.radius)[..., None, None]
 

@@ -59,16 +59,23 @@ def test_joint_limits(seed):
 @pytest.mark.parametrize("spread", [0.005, 0.05])
 def test_self_collision(seed, spread):
     rng = np.random.default_rng(seed)
-    a, b, reach = rng.normal(size=(6, 3)) * spread, rng.normal(size=(6, 3)) * spread, rng.uniform(0.01, 0.03, 6)
-    _, ga, gb = terms.self_collision(a, b, reach)
-    close(ga, numeric(lambda x: terms.self_collision(x, b, reach)[0], a, h=1e-8))
-    close(gb, numeric(lambda x: terms.self_collision(a, x, reach)[0], b, h=1e-8))
+    between, reach = rng.normal(size=(6, 3)) * spread, rng.uniform(0.01, 0.03, 6)
+    _, gradient = terms.self_collision(between, reach)
+    close(gradient, numeric(lambda x: terms.self_collision(x, reach)[0], between, h=1e-8))
 
 
 def turned(n, f, dn):
     """Forces that turn with their normals by the smallest rotation."""
     axis = np.cross(n, dn)
     return f + np.cross(axis, f)
+
+
+@pytest.mark.parametrize("seed", CASES)
+def test_grasp_map_is_the_matrix_of_the_wrench(seed):
+    rng = np.random.default_rng(seed)
+    p, f, center = rng.normal(size=(2, 5, 3)), rng.normal(size=(2, 5, 3)), rng.normal(size=3)
+    by_matrix = (terms.grasp_map(p, center, 0.3) @ f.reshape(2, -1, 1))[..., 0]
+    assert np.abs(by_matrix - terms.wrench(p, f, center, 0.3)).max() < 1e-12
 
 
 @pytest.mark.parametrize("seed", CASES)

@@ -180,7 +180,8 @@ def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OC
 def polish(program: GraspProgram, settings: SynthesisSettings, *, protocol: LiftProtocol = LIFT) -> Outcome:
     """Solves a program and finishes the grasp; see `finish_grasp`."""
     start = time.perf_counter()
-    result = solve(program, solver=settings.solver)
+    # Posture and effort are preferences, not goals: the first point that holds is as good as the nearest one.
+    result = solve(program, solver=settings.solver, improvement=np.inf)
     if not result.success:
         return Outcome(None, result.worst)
     outcome = finish_grasp(program.hand, result.point, protocol=protocol, penetration_m=settings.penetration_m)

@@ -151,9 +151,9 @@ class Finger:
     n_LPad: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hand:
-    """A hand's description.
+    """A hand's description; two hands are equal where they are the same object (compare `hand_digest` otherwise).
 
     Attributes:
         name: Library name, or the id of a generated hand.

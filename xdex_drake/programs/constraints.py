@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.hand.description import Array
-from xdex_drake.hand.kinematics import skew
+from xdex_drake.hand.kinematics import cross, skew
 from xdex_drake.programs.point import Point
 
 MM = 1e3
 """Millimetres in a metre: the unit of distance rows."""
 
+TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2}
+"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards."""
 
 CONE_EDGES = 8
 """Edges of the pyramid that stands for a friction cone in the sequential solver's subproblems."""
@@ -110,8 +112,7 @@ def object_block(spheres: NDArray[np.int64], clearance: Array) -> Block:
         # Rows that are far from active need no derivative.
         close = known[g[known] < 20.0]
         chosen = spheres[close]
-        J_c = point.k.jacobian(point.k.hand.sphere_links[chosen], point.centers_W[chosen])
-        J[close, : J_c.shape[-1]] = MM * np.einsum("ka,kab->kb", gradient[rows[close]], J_c)
+        J[close, : point.moving] = MM * point.pull_back_spheres(chosen, gradient[rows[close]])
         return g, J
 
     return Block(
@@ -131,9 +132,9 @@ def table_block(spheres: NDArray[np.int64], clearance: float) -> Block:
     """
 
     def evaluate(point: Point) -> tuple[Array, Array]:
-        centers = point.centers_W[spheres]
-        J = point.k.jacobian(point.k.hand.sphere_links[spheres], centers)[:, 2]
-        return MM * (centers[:, 2] - point.k.hand.spheres[spheres, 3]), MM * _pad(point, J)
+        up = np.tile([0.0, 0.0, MM], (len(spheres), 1))
+        heights = point.centers_W[spheres, 2] - point.k.hand.spheres[spheres, 3]
+        return MM * heights, _pad(point, point.pull_back_spheres(spheres, up))
 
     low = np.full(len(spheres), MM * clearance)
     return Block("table", evaluate, low, np.full(len(spheres), np.inf), "mm", "gap between sphere and table")
@@ -159,10 +160,11 @@ def self_block(pairs: NDArray[np.int64], clearance: float) -> Block:
         J = np.zeros((len(pairs), point.size))
         close = np.flatnonzero(g < 20.0)
         if len(close):
-            direction = between[close] / distance[close, None]
-            Ja = point.k.jacobian(hand.sphere_links[a[close]], point.centers_W[a[close]])
-            Jb = point.k.jacobian(hand.sphere_links[b[close]], point.centers_W[b[close]])
-            J[close, : Ja.shape[-1]] = MM * np.einsum("ka,kab->kb", direction, Ja - Jb)
+            direction = MM * between[close] / distance[close, None]
+            rows = point.pull_back_spheres(
+                np.concatenate([a[close], b[close]]), np.concatenate([direction, -direction])
+            )
+            J[close, : point.moving] = rows[: len(close)] + rows[len(close) :]
         return g, J
 
     low = np.full(len(pairs), MM * clearance)
@@ -193,7 +195,7 @@ def wrench_block(p_WOcm: Array, length: float) -> Block:
     def evaluate(point: Point) -> tuple[Array, Array]:
         f = point.forces
         arms = point.contacts_W - p_WOcm
-        torque = np.cross(arms, f).sum(0) / length
+        torque = cross(arms, f).sum(0) / length
         g = np.concatenate([torque, f.sum(0) - np.array([0.0, 0.0, 1.0])])
         n = 6 + len(point.k.q)
         J = np.zeros((6, point.size))

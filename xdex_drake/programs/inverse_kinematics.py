@@ -15,8 +15,9 @@ import torch
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from xdex_drake.hand.batched_kinematics import BatchedHand, rotation_step
 from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import BatchedHand, forward_kinematics, rotation_step
+from xdex_drake.hand.kinematics import forward_kinematics
 
 ARM = 0.03
 """Length that turns a link's rotation error into a distance [m]; about half a finger's width times three."""

@@ -59,37 +59,53 @@ class Point:
         """Dimension of the tangent."""
         return 6 + len(self.k.q) + self.forces.size
 
+    @property
+    def moving(self) -> int:
+        """Dimension of the part of the tangent that moves the hand: 6 + n."""
+        return 6 + len(self.k.q)
+
     @cached_property
     def centers_W(self) -> Array:
         """Centers of all spheres [m], shape (n_spheres, 3)."""
         hand = self.k.hand
         return self.k.points(hand.sphere_links, hand.spheres[:, :3])
 
+    def pull_back_spheres(self, spheres: NDArray[np.int64], v_Ws: Array) -> Array:
+        """Derivatives of sphere centers along given directions.
+
+        Args:
+            spheres: Indices among `hand.spheres`, shape (m,).
+            v_Ws: A vector for each, in W, shape (m, 3).
+
+        Returns:
+            Rows v_k . (Jacobian of center k), shape (m, 6 + n).
+        """
+        return self.k.pull_back_each(self.k.hand.sphere_links[spheres], self.centers_W[spheres], v_Ws)
+
     @cached_property
     def _near(self) -> NDArray[np.int64]:
         centers_O = self._to_object(self.centers_W)
-        vertices = self.scene.object.surface[0]
-        low, high = vertices.min(0) - FAR, vertices.max(0) + FAR
-        reach = self.k.hand.spheres[:, 3][:, None]
-        return np.flatnonzero(np.all((centers_O > low - reach) & (centers_O < high + reach), axis=1))
+        low, high = self.scene.object.exact.lower, self.scene.object.exact.upper
+        reach = FAR + self.k.hand.spheres[:, 3][:, None]
+        near = np.all((centers_O > low - reach) & (centers_O < high + reach), axis=1)
+        near[self.contacts.spheres] = True
+        return np.flatnonzero(near)
 
     def _to_object(self, p_WPs: Array) -> Array:
         R_WO, p_WO = self.scene.X_WO.rotation().matrix(), self.scene.X_WO.translation()
         return (p_WPs - p_WO) @ R_WO
 
-    def _query(self, p_WPs: Array) -> tuple[Array, Array]:
-        """Exact distance [m] and its unit gradient in W."""
-        result = self.scene.object.exact.query(self._to_object(p_WPs))
+    @cached_property
+    def _near_query(self) -> tuple[Array, Array]:
+        """Exact distance [m] of the near spheres' centers, and its unit gradient in W."""
+        result = self.scene.object.exact.query(self._to_object(self.centers_W[self._near]))
         return result.distance, result.gradient @ self.scene.X_WO.rotation().matrix().T
 
     @cached_property
     def object_distances(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Spheres near the object: their indices, gaps [m] (center distance less radius), and unit gradients in W."""
-        near = self._near
-        if len(near) == 0:
-            return near, np.zeros(0), np.zeros((0, 3))
-        distance, gradient = self._query(self.centers_W[near])
-        return near, distance - self.k.hand.spheres[near, 3], gradient
+        distance, gradient = self._near_query
+        return self._near, distance - self.k.hand.spheres[self._near, 3], gradient
 
     @cached_property
     def contact_centers_W(self) -> Array:
@@ -98,7 +114,9 @@ class Point:
 
     @cached_property
     def _contact_query(self) -> tuple[Array, Array]:
-        return self._query(self.contact_centers_W)
+        distance, gradient = self._near_query
+        rows = np.searchsorted(self._near, self.contacts.spheres)
+        return distance[rows], gradient[rows]
 
     @property
     def contact_gaps(self) -> Array:

@@ -7,22 +7,29 @@ tangent. Distances come from the object's grid; the polish that follows uses exa
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from xdex_drake.contact.cones import cross_matrices
+from xdex_drake.hand.batched_kinematics import BatchedHand, FixedPoints, rotation_step
 from xdex_drake.hand.collision import self_collision_pairs
 from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import BatchedHand, rotation_step
 from xdex_drake.programs import terms
 from xdex_drake.programs.grasp_types import GraspType, approach_axis, contact_slots, random_contact_sets
 from xdex_drake.scene.distance import DistanceGrid
 from xdex_drake.scene.tabletop import Scene
+
+SPACING = 1.0
+"""Distance between neighbouring spheres of a link in the search, in radii; the polish takes all of them."""
+
+PAIR_SPACING = 2.0
+"""The same for spheres of links that must stay apart."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ class SearchSettings:
     """
 
     weights: EnergyWeights = field(default_factory=EnergyWeights)
-    iterations: int = 150
+    iterations: int = 100
     translation_step: float = 0.004
     rotation_step: float = 0.04
     joint_step: float = 0.04
@@ -130,25 +137,30 @@ class TorchGrid:
         self.origin = torch.as_tensor(np.asarray(grid.origin), dtype=dtype, device=device)
         self.spacing = float(grid.spacing)
         self.last = (self.shape - 1).to(dtype)
-        self.strides = torch.tensor(
-            [grid.values.shape[1] * grid.values.shape[2], grid.values.shape[2], 1], device=device
-        )
+        strides = np.array([grid.values.shape[1] * grid.values.shape[2], grid.values.shape[2], 1])
+        self.strides = torch.as_tensor(strides, device=device)
+        # The eight corners of a cell: their rows in the table from its first, and their weights sign * t + offset.
+        bits = np.array([[c >> 2 & 1, c >> 1 & 1, c & 1] for c in range(8)])
+        self.corner_rows = torch.as_tensor(bits @ strides, device=device)
+        self.corner_signs = torch.as_tensor(2 * bits - 1, dtype=dtype, device=device)
+        self.corner_offsets = torch.as_tensor(1 - bits, dtype=dtype, device=device)
 
-    def nearest(self, p_OPs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def nearest(self, x_O: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Distance by a first-order expansion about the nearest grid point: one look-up for each point.
 
         Args:
-            p_OPs: Points in O [m], shape (..., 3).
+            x_O: Components of points in O [m], shape (B, 3, m).
 
         Returns:
-            Signed distance [m], shape (...), and gradient, shape (..., 3).
+            Signed distance [m], shape (B, m), and components of its gradient, shape (B, 3, m).
         """
-        cell = ((p_OPs - self.origin) / self.spacing).round()
-        cell = torch.minimum(cell.clamp_min(0.0), self.last)
-        row = self.table[(cell.long() * self.strides).sum(-1)]
-        away = p_OPs - (self.origin + cell * self.spacing)
-        gradient = row[..., 1:]
-        return row[..., 0] + (gradient * away).sum(-1), gradient
+        cell = ((x_O - self.origin[:, None]) * (1.0 / self.spacing)).round()
+        cell = torch.minimum(cell.clamp_min(0.0), self.last[:, None])
+        row = self.table.index_select(0, (cell.long() * self.strides[:, None]).sum(1).flatten())
+        row = row.view(*x_O.shape[::2], 4)
+        gradient = row[..., 1:].transpose(1, 2)
+        away = x_O - self.origin[:, None] - cell * self.spacing
+        return row[..., 0] + (gradient * away).sum(1), gradient
 
     def smooth(self, p_OPs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Trilinear distance and gradient, with the derivative of the gradient, for the few points that are contacts.
@@ -162,21 +174,15 @@ class TorchGrid:
         x = (p_OPs - self.origin) / self.spacing
         x = torch.minimum(x.clamp_min(0.0), self.last - 1e-3)
         cell = x.floor()
-        t = x - cell
-        base = (cell.long() * self.strides).sum(-1)
-        value = torch.zeros_like(p_OPs[..., 0])
-        gradient = torch.zeros_like(p_OPs)
-        hessian = torch.zeros((*p_OPs.shape, 3), dtype=p_OPs.dtype, device=p_OPs.device)
-        for corner in range(8):
-            bits = [(corner >> 2) & 1, (corner >> 1) & 1, corner & 1]
-            w = [t[..., a] if bits[a] else 1.0 - t[..., a] for a in range(3)]
-            sign = [1.0 if bit else -1.0 for bit in bits]
-            row = self.table[base + (self.strides * torch.tensor(bits, device=base.device)).sum()]
-            weight = w[0] * w[1] * w[2]
-            slope = torch.stack([sign[0] * w[1] * w[2], sign[1] * w[0] * w[2], sign[2] * w[0] * w[1]], dim=-1)
-            value = value + weight * row[..., 0]
-            gradient = gradient + weight[..., None] * row[..., 1:]
-            hessian = hessian + row[..., 1:, None] * slope[..., None, :] / self.spacing
+        t = (x - cell)[..., None, :]
+        corner = (cell.long() * self.strides).sum(-1, keepdim=True) + self.corner_rows
+        row = self.table[corner]  # (..., 8, 4)
+        w = self.corner_signs * t + self.corner_offsets  # (..., 8, 3): t or 1 - t
+        wx, wy, wz = w.unbind(-1)
+        slope = self.corner_signs * torch.stack([wy * wz, wx * wz, wx * wy], dim=-1)
+        mean = ((wx * wy * wz)[..., None] * row).sum(-2)
+        value, gradient = mean[..., 0], mean[..., 1:]
+        hessian = row[..., 1:].transpose(-1, -2) @ slope / self.spacing
         size = gradient.norm(dim=-1, keepdim=True).clamp_min(1e-6)
         unit = gradient / size
         hessian = (hessian - unit[..., None] * (unit[..., None, :] @ hessian)) / size[..., None]
@@ -195,10 +201,13 @@ class SearchProblem:
         p_WOcm: Center of mass [m], shape (3,).
         length: Length that divides torques [m].
         friction: Coefficient of friction.
+        spheres: The spheres that the search keeps apart from object and table.
+        radii: Their radii [m], shape (n_spheres,).
         tip_spheres: Indices of each slot's spheres (`contact_slots`), padded by repetition, shape (n_slots, k).
         tip_links: Index of each slot's link, shape (n_slots,).
         pads: Pad normal of each slot in its link, shape (n_slots, 3).
-        pairs: Indices of pairs of spheres that must not overlap, shape (m, 2).
+        pairs: Differences between the centers of spheres that must not overlap.
+        reach: Sum of the two radii of each pair [m], shape (n_pairs,).
         approach: Axis of the hand along which the palm approaches, in H, shape (3,).
         settings: Settings.
     """
@@ -210,41 +219,61 @@ class SearchProblem:
     p_WOcm: torch.Tensor
     length: float
     friction: float
+    spheres: FixedPoints
+    radii: torch.Tensor
     tip_spheres: torch.Tensor
     tip_links: torch.Tensor
     pads: torch.Tensor
-    pairs: torch.Tensor
+    pairs: FixedPoints
+    reach: torch.Tensor
     approach: torch.Tensor
     settings: SearchSettings
 
 
-def sphere_pairs(hand: Hand, *, spacing: float = 0.8, base: bool = True) -> NDArray[np.int64]:
-    """Pairs of spheres on links that must stay apart.
+def spread_spheres(hand: Hand, *, spacing: float, whole: Collection[int] = ()) -> NDArray[np.int64]:
+    """Fewer spheres that still stand for the hand.
 
-    Spheres overlap along a link, so not all are needed: from end to end, one is kept for each `spacing` radii.
+    Spheres overlap along a link, so not all are needed everywhere: each link keeps those that lie at least some radii
+    from the ones kept before them, and its last.
 
     Args:
         hand: The hand.
         spacing: Distance between neighbours that are kept, in radii.
+        whole: Links that keep all.
+
+    Returns:
+        Indices into `hand.spheres`, rising, shape (m,).
+    """
+    keep: list[int] = []
+    for link in range(len(hand.links)):
+        rows = np.flatnonzero(hand.sphere_links == link)
+        kept: list[int] = []
+        for row in rows:
+            center, radius = hand.spheres[row, :3], hand.spheres[row, 3]
+            apart = np.linalg.norm(hand.spheres[kept, :3] - center, axis=1) > spacing * radius
+            if link in whole or row == rows[-1] or apart.all():
+                kept.append(int(row))
+        keep += kept
+    return np.array(keep, dtype=np.int64)
+
+
+@lru_cache(maxsize=64)
+def sphere_pairs(hand: Hand, *, spacing: float = 0.8, base: bool = True) -> NDArray[np.int64]:
+    """Pairs of spheres on links that must stay apart.
+
+    Args:
+        hand: The hand.
+        spacing: Distance between neighbouring spheres that are kept, in radii; see `spread_spheres`.
         base: Whether the base link takes part.
 
     Returns:
         Indices into `hand.spheres`, shape (m, 2).
     """
-    keep: list[int] = []
-    for link in range(0 if base else 1, len(hand.links)):
-        rows = np.flatnonzero(hand.sphere_links == link)
-        last: Array | None = None
-        for k, row in enumerate(rows):
-            center, radius = hand.spheres[row, :3], hand.spheres[row, 3]
-            if last is None or k == len(rows) - 1 or np.linalg.norm(center - last) > spacing * radius:
-                keep.append(int(row))
-                last = center
-    coarse = np.array(keep, dtype=np.int64)
+    coarse = spread_spheres(hand, spacing=spacing)
     link_of = hand.sphere_links[coarse]
     apart = np.zeros((len(hand.links), len(hand.links)), dtype=bool)
     for a, b in self_collision_pairs(hand):
-        apart[a, b] = apart[b, a] = True
+        apart[a, b] = apart[b, a] = base or (a > 0 and b > 0)
     i, j = np.triu_indices(len(coarse), 1)
     kept = apart[link_of[i], link_of[j]]
     return np.stack([coarse[i[kept]], coarse[j[kept]]], axis=1)
@@ -277,21 +306,29 @@ def search_problem(
     settings = settings or SearchSettings()
     slots = contact_slots(hand)
     slots = slots if settings.grasp_type == "power" else slots[:-1]
-    rows = [slot.spheres for slot in slots]
+    chosen = spread_spheres(hand, spacing=SPACING, whole=[slot.link for slot in slots])
+    rows = [np.searchsorted(chosen, slot.spheres) for slot in slots]
     width = max(len(r) for r in rows)
     padded = np.array([np.resize(r, width) for r in rows])
+    a, b = sphere_pairs(hand, spacing=PAIR_SPACING, base=False).T
+    batched = BatchedHand(hand, dtype=dtype, device=device)
     return SearchProblem(
-        batched=BatchedHand(hand, dtype=dtype, device=device),
+        batched=batched,
         grid=TorchGrid(scene.object.grid, dtype=dtype, device=device),
         R_WO=tensor(scene.X_WO.rotation().matrix()),
         p_WO=tensor(scene.X_WO.translation()),
         p_WOcm=tensor(scene.X_WO @ scene.object.p_OOcm),
         length=scene.object.length,
         friction=scene.object.friction,
+        spheres=batched.spheres.subset(torch.as_tensor(chosen, device=device)),
+        radii=tensor(hand.spheres[chosen, 3]),
         tip_spheres=torch.as_tensor(padded, device=device),
         tip_links=torch.as_tensor(np.array([slot.link for slot in slots]), device=device),
         pads=tensor([slot.n_LPad for slot in slots]),
-        pairs=torch.as_tensor(sphere_pairs(hand, spacing=1.4, base=False), device=device),
+        pairs=batched.spheres.subset(torch.as_tensor(a, device=device)).minus(
+            batched.spheres.subset(torch.as_tensor(b, device=device))
+        ),
+        reach=tensor(hand.spheres[a, 3] + hand.spheres[b, 3]),
         approach=tensor(approach_axis(hand)[1]),
         settings=settings,
     )
@@ -331,17 +368,16 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
     batched, settings, weights = problem.batched, problem.settings, problem.settings.weights
     B = state.q.shape[0]
     poses = batched.forward(state.R_WH, state.p_WH, state.q)
-    centers = batched.points(poses, batched.sphere_links, batched.sphere_centers)
-    p_OPs = (centers - problem.p_WO) @ problem.R_WO
-    distance, slope_O = problem.grid.nearest(p_OPs)
-    slope = slope_O @ problem.R_WO.T
-    radii = batched.sphere_radii
+    centers = problem.spheres.positions(poses)  # (B, 3, n_spheres)
+    R_OW = problem.R_WO.T
+    distance, slope_O = problem.grid.nearest(R_OW @ (centers - problem.p_WO[:, None]))
+    radii = problem.radii
 
     # Contacts: of each finger the tip sphere that is nearest to the surface.
     gaps = (distance - radii)[:, problem.tip_spheres]  # (B, n_fingers, k)
     choice = gaps.argmin(-1)
     sphere = torch.gather(problem.tip_spheres.expand(B, -1, -1), 2, choice[..., None])[..., 0]  # (B, n_fingers)
-    contact_centers = torch.gather(centers, 1, sphere[..., None].expand(-1, -1, 3))
+    contact_centers = torch.gather(centers, 2, sphere[:, None].expand(-1, 3, -1)).transpose(1, 2)
     contact_radii = radii[sphere]
     d, n_O, H_O = problem.grid.smooth((contact_centers - problem.p_WO) @ problem.R_WO)
     outward = n_O @ problem.R_WO.T
@@ -355,7 +391,7 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
     # Penetration: the fingers that touch keep no clearance.
     keep_off = radii + settings.clearance
     value_sdf, g_sdf = terms.penetration(distance, keep_off)
-    height = centers[..., 2]
+    height = centers[:, 2]
     value_table, g_table = terms.penetration(height, keep_off)
 
     force = state.forces * mask[..., None]
@@ -364,10 +400,10 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
         force = normals * mask[..., None]
     else:
         step = 1.0 / (2.0 * mask.sum(-1).clamp_min(1.0))[:, None, None]
+        G = terms.grasp_map(points, problem.p_WOcm, problem.length)
+        Gt = G.transpose(1, 2)
         for _ in range(settings.force_steps):
-            residual = terms.wrench(points, force, problem.p_WOcm, problem.length)
-            torque = residual[:, None, :3] / problem.length
-            descent = residual[:, None, 3:] + terms.cross(torque + 0.0 * points, points - problem.p_WOcm)
+            descent = (Gt @ (G @ force.flatten(1)[..., None])).view_as(force)
             force = terms.project_forces(force - step * descent, normals, mu, 0.3, 1.5) * mask[..., None]
         state.forces = force
     value_fc, g_point, g_normal = terms.wrench_energy(points, normals, force, problem.p_WOcm, problem.length)
@@ -375,15 +411,12 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
     pad_W = (poses.R_WLs[:, problem.tip_links] @ problem.pads[:, :, None])[..., 0]
     value_pad, g_pad_normal, g_pad = terms.alignment(normals, pad_W, settings.pad_cosine, mask)
 
-    a, b = problem.pairs[:, 0], problem.pairs[:, 1]
-    value_s, g_a, g_b = terms.self_collision(centers[:, a], centers[:, b], radii[a] + radii[b])
+    value_s, g_between = terms.self_collision(problem.pairs.positions(poses).transpose(1, 2), problem.reach)
     value_j, g_j = terms.joint_limits(state.q, batched.limits)
 
     # Gradients with respect to sphere centers.
-    g_centers = weights.sdf * g_sdf[..., None] * slope
-    g_centers[..., 2] += weights.sdf * g_table
-    g_centers.index_add_(1, a, weights.s * g_a)
-    g_centers.index_add_(1, b, weights.s * g_b)
+    g_centers = weights.sdf * (problem.R_WO @ (g_sdf[:, None] * slope_O))
+    g_centers[:, 2] += weights.sdf * g_table
     on_normal = weights.fc * g_normal + weights.pad * g_pad_normal
     on_point = weights.fc * g_point
     wishes = {}
@@ -399,11 +432,14 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
         - (Ht @ on_normal[..., None])[..., 0]
         + weights.dis * g_dis[..., None] * outward
     )
-    gradient = batched.pull_back(poses, batched.sphere_links, centers, g_centers)
-    tips = problem.tip_links
-    gradient = gradient + batched.pull_back(
-        poses, tips, contact_centers, g_contact, torque=weights.pad * terms.cross(pad_W, g_pad)
+    on_links = (
+        problem.spheres.wrenches(poses, g_centers)
+        + problem.pairs.wrenches(poses, weights.s * g_between.transpose(1, 2))
+        + batched.wrenches(
+            problem.tip_links, contact_centers, g_contact, torque=weights.pad * terms.cross(pad_W, g_pad)
+        )
     )
+    gradient = batched.to_tangent(poses, on_links)
     gradient[:, 6:] += weights.j * g_j
     if settings.approach is not None:
         a_W = state.R_WH @ problem.approach
@@ -534,11 +570,11 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
         return torch.tensor(values, dtype=batched.dtype, device=batched.device)
 
     poses = batched.forward(tensor(R_WHs), tensor(p_WHs), tensor(qs))
-    centers = batched.points(poses, batched.sphere_links, batched.sphere_centers)
+    centers = problem.spheres.positions(poses)
     # Lift out of the table whatever reaches into it: cheaper than to descend.
-    sunk = (batched.sphere_radii - centers[..., 2]).max(-1).values.clamp_min(0.0)
-    distance, _ = problem.grid.nearest((centers - problem.p_WO) @ problem.R_WO)
-    inside = (batched.sphere_radii - distance).clamp_min(0.0).sum(-1)
+    sunk = (problem.radii - centers[:, 2]).max(-1).values.clamp_min(0.0)
+    distance, _ = problem.grid.nearest(problem.R_WO.T @ (centers - problem.p_WO[:, None]))
+    inside = (problem.radii - distance).clamp_min(0.0).sum(-1)
     cost = (inside + 10.0 * sunk).cpu().numpy()
     octant = (approach > 0.0) @ np.array([4, 2, 1])
     chosen: list[int] = []

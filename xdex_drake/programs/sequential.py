@@ -12,7 +12,7 @@ import daqp
 import numpy as np
 
 from xdex_drake.hand.description import Array
-from xdex_drake.programs.constraints import Block
+from xdex_drake.programs.constraints import TOLERANCES, Block
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram, LeastSquares
 
@@ -29,6 +29,9 @@ allow tiny steps only.
 SLACK = 30.0
 """Linear penalty on the slack of each inequality block."""
 
+SAFE = 0.25
+"""Fraction of the tolerances within which a point counts as feasible to the solver."""
+
 FAR_ROWS = 15.0
 """Inequality rows slacker than this are left out of a subproblem [mm]."""
 
@@ -37,18 +40,24 @@ def _stiffness(block: Block, loose: bool) -> float:
     return LOOSE if loose and block.unit == "mm" else EQUALITY
 
 
-def _merit(program: GraspProgram, point: Point, loose: bool) -> float:
-    total = sum(cost.value(point) for cost in program.costs)
+def _merit(program: GraspProgram, point: Point, loose: bool) -> tuple[float, float]:
+    """The merit, and the part of it that stands for violated constraints."""
+    cost = sum(cost.value(point) for cost in program.costs)
+    penalty = 0.0
     for block in program.constraints:
         g, _, low, high = block.rows(point)
         miss = np.maximum(low - g, g - high).clip(min=0.0)
         equal = low == high
-        total += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum())
-        total += SLACK * float(miss[~equal].max(initial=0.0))
-    return total
+        penalty += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum())
+        penalty += SLACK * float(miss[~equal].max(initial=0.0))
+    return cost + penalty, penalty
 
 
-def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = False) -> Array:
+def _holds(program: GraspProgram, point: Point) -> bool:
+    return all(block.violation(point) <= SAFE * TOLERANCES[block.unit] for block in program.constraints)
+
+
+def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = False) -> tuple[Array, float]:
     """Solves one convex subproblem.
 
     Args:
@@ -58,7 +67,8 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
         loose: Whether equalities in millimetres are penalised by `LOOSE` only.
 
     Returns:
-        Step along the tangent, shape (point.size,); zero where the subproblem could not be solved.
+        Step along the tangent, shape (point.size,), and by how much the merit falls if the linearisation is true; zeros
+        where the subproblem could not be solved.
     """
     size = point.size
     n = len(point.k.q)
@@ -73,7 +83,7 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
             c += cost.gradient(point)
             P += 1e-2 * np.eye(size)
     rows, lows, highs, owner = [], [], [], []
-    blocks = 0
+    blocks, violation = 0, 0.0
     for block in program.constraints:
         if block.name == "limits":
             continue
@@ -90,6 +100,7 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
             lows.append((low - g)[near])
             highs.append((high - g)[near])
             owner.append(np.full(int(near.sum()), blocks))
+            violation += float(np.maximum(low - g, g - high)[near].max(initial=0.0))
             blocks += 1
     bound = np.concatenate([np.full(3, trust), np.full(3, 0.1 * trust), np.full(n, trust), np.full(size - 6 - n, 10.0)])
     # Joint limits hold exactly, as bounds of the step.
@@ -115,7 +126,7 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
         high_all = np.concatenate([np.full(int(has_low.sum()), 1e30), high[has_high]])
     else:
         A_all, low_all, high_all = np.zeros((0, size)), np.zeros(0), np.zeros(0)
-    x, _, flag, _ = daqp.solve(
+    x, value, flag, _ = daqp.solve(
         np.ascontiguousarray(H),
         f,
         np.ascontiguousarray(A_all),
@@ -123,37 +134,48 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
         np.concatenate([lower, low_all]),
         np.zeros(len(upper) + len(high_all), dtype=np.int32),
     )
-    return np.asarray(x[:size]) if flag > 0 else np.zeros(size)
+    if flag <= 0:
+        return np.zeros(size), 0.0
+    return np.asarray(x[:size]), SLACK * violation - value
 
 
-def solve_sequential(program: GraspProgram, *, iterations: int = 20, trust: float = 0.2) -> tuple[Point, int]:
+def solve_sequential(
+    program: GraspProgram, *, iterations: int = 20, trust: float = 0.2, improvement: float = 1e-3
+) -> tuple[Point, int]:
     """Iterates convex subproblems from the program's initial guess.
 
     Args:
         program: The program.
         iterations: Greatest number of subproblems.
         trust: First trust region [rad].
+        improvement: At a point where all constraints hold with room to spare, the solver stops once a step lowers the
+            costs by less than this. Infinity stops at the first such point, where costs serve as a preference only.
 
     Returns:
         The last point that lowered the merit, and the number of subproblems solved.
     """
-    point, count = program.start, 0
+    point, count, reach = program.start, 0, trust
     for loose in (True, False):
-        merit, reach = _merit(program, point, loose), trust if loose else 0.5 * trust
+        merit, penalty = _merit(program, point, loose)
         for _ in range(iterations // 2):
-            move = step(program, point, reach, loose=loose)
+            move, promised = step(program, point, reach, loose=loose)
             count += 1
-            if not move.any():
+            # Nothing to gain, or constraints that another hundred steps like this one would not mend.
+            if promised < max(1e-3, 1e-2 * penalty):
                 break
             trial = point.moved(move)
-            trial_merit = _merit(program, trial, loose)
-            if trial_merit >= merit:
-                reach *= 0.3
-                if reach < 1e-3:
-                    break
-                continue
-            gain, point, merit = merit - trial_merit, trial, trial_merit
-            reach = min(1.5 * reach, 0.4)
-            if gain < 1e-3 * max(1.0, merit):
+            trial_merit, trial_penalty = _merit(program, trial, loose)
+            gain = merit - trial_merit
+            if gain < 0.25 * promised:
+                reach *= 0.25
+            elif gain > 0.75 * promised:
+                reach = min(2.0 * reach, 0.4)
+            if gain > 0.01 * promised:
+                point, merit, penalty = trial, trial_merit, trial_penalty
+                if gain < improvement and _holds(program, point):
+                    return point, count
+            if reach < 1e-4:
                 break
+        # The stiff penalty sees the curvature that the loose one let pass.
+        reach = min(max(reach, 0.003), 0.03)
     return point, count

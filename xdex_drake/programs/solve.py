@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pydrake.solvers import IpoptSolver, NloptSolver, SnoptSolver, SolverInterface, SolverOptions
 
 from xdex_drake.errors import ConfigError
+from xdex_drake.programs.constraints import TOLERANCES
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.sequential import solve_sequential
 
 SOLVERS = ("sequential", "snopt", "ipopt", "nlopt")
-
-TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2}
-"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +90,16 @@ def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
     return violations, worst if worst and relative[worst] > 1.0 else ""
 
 
-def solve(program: GraspProgram, *, solver: str = "sequential", iterations: int = 20) -> ProgramResult:
+def solve(
+    program: GraspProgram, *, solver: str = "sequential", iterations: int = 20, improvement: float = 1e-3
+) -> ProgramResult:
     """Solves a grasp program from its initial guess.
 
     Args:
         program: The program.
         solver: "sequential" (ours, the default), or Drake's "snopt", "ipopt" or "nlopt".
         iterations: Greatest number of subproblems of the sequential solver.
+        improvement: Where the sequential solver stops at a feasible point; see `solve_sequential`.
 
     Returns:
         The result; a failed solve is a result with the constraint that failed, not an exception.
@@ -110,7 +111,7 @@ def solve(program: GraspProgram, *, solver: str = "sequential", iterations: int 
         raise ConfigError(f"solver {solver!r} is not known; choose one of {', '.join(SOLVERS)}")
     start = time.perf_counter()
     if solver == "sequential":
-        point, count = solve_sequential(program, iterations=iterations)
+        point, count = solve_sequential(program, iterations=iterations, improvement=improvement)
     else:
         drake_solver, options = _drake_solver(solver)
         result = drake_solver.Solve(program.prog, program.prog.initial_guess(), options)

@@ -83,24 +83,21 @@ def joint_limits(q: Any, limits: Any) -> tuple[Any, Any]:
     return (above + below).sum(-1), 1.0 * (above > 0.0) - 1.0 * (below > 0.0)
 
 
-def self_collision(a_W: Any, b_W: Any, reach: Any) -> tuple[Any, Any, Any]:
+def self_collision(between: Any, reach: Any) -> tuple[Any, Any]:
     """Sum of overlaps between pairs of spheres of different links: E_s of Eq. (1).
 
-    E_s = sum over pairs of max(0, reach - |a - b|)
+    E_s = sum over pairs of max(0, reach - |between|)
 
     Args:
-        a_W: Centers of the first spheres [m], shape (..., m, 3).
-        b_W: Centers of the second spheres [m], shape (..., m, 3).
+        between: Differences between the centers of the two spheres [m], shape (..., m, 3).
         reach: Sum of the two radii of each pair [m], shape (m,).
 
     Returns:
-        Value [m], shape (...), and gradients with respect to `a_W` and `b_W`, shape (..., m, 3).
+        Value [m], shape (...), and its gradient with respect to `between`, shape (..., m, 3).
     """
-    between = a_W - b_W
     distance = ((between * between).sum(-1) + 1e-18) ** 0.5
     overlap = (reach - distance).clip(min=0.0)
-    gradient = -((overlap > 0.0) / distance)[..., None] * between
-    return overlap.sum(-1), gradient, -gradient
+    return overlap.sum(-1), -((overlap > 0.0) / distance)[..., None] * between
 
 
 def wrench(p_WCs: Any, f_Ws: Any, p_WOcm: Any, length: float) -> Any:
@@ -117,6 +114,25 @@ def wrench(p_WCs: Any, f_Ws: Any, p_WOcm: Any, length: float) -> Any:
     """
     torque = cross(p_WCs - p_WOcm, f_Ws).sum(-2) / length
     return _namespace(p_WCs).concatenate([torque, f_Ws.sum(-2)], -1)
+
+
+def grasp_map(p_WCs: Any, p_WOcm: Any, length: float) -> Any:
+    """The matrix G of `wrench`, which is linear in the forces: wrench = G f.
+
+    Args:
+        p_WCs: Contact points [m], shape (..., nc, 3).
+        p_WOcm: Center of mass [m], shape (3,).
+        length: Length that divides the torque [m].
+
+    Returns:
+        G, shape (..., 6, 3 nc).
+    """
+    xp = _namespace(p_WCs)
+    x, y, z = (((p_WCs - p_WOcm) / length)[..., k] for k in range(3))
+    o, one = 0.0 * x, 0.0 * x + 1.0
+    rows = [[o, -z, y], [z, o, -x], [-y, x, o], [one, o, o], [o, one, o], [o, o, one]]
+    G = xp.stack([xp.stack(row, -1) for row in rows], -3)  # (..., 6, nc, 3)
+    return G.reshape(*G.shape[:-2], -1)
 
 
 def wrench_energy(p_WCs: Any, n_WCs: Any, f_Ws: Any, p_WOcm: Any, length: float) -> tuple[Any, Any, Any]:

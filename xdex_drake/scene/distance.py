@@ -113,7 +113,7 @@ class ExactDistance:
         normals = np.cross(b - a, c - a)
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         self._half_spaces = None if parts is None else HalfSpaces(parts)
-        self._lower, self._upper = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        self.lower, self.upper = self.vertices.min(axis=0), self.vertices.max(axis=0)
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
@@ -132,7 +132,7 @@ class ExactDistance:
         _, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
         face, closest = np.reshape(face, -1), np.reshape(closest, (-1, 3))
         offset = points - closest
-        distance = np.linalg.norm(offset, axis=1)
+        distance = np.sqrt((offset * offset).sum(1))
         sign = np.where(self.contains(points), -1.0, 1.0)
         near = distance < 1e-9
         gradient = sign[:, None] * offset / np.where(near, 1.0, distance)[:, None]
@@ -150,7 +150,7 @@ class ExactDistance:
         """
         if self._half_spaces is not None:
             return self._half_spaces.contains(points_O)
-        inside = ((points_O >= self._lower) & (points_O <= self._upper)).all(axis=1)
+        inside = ((points_O >= self.lower) & (points_O <= self.upper)).all(axis=1)
         if inside.any():
             some = np.ascontiguousarray(points_O[inside])
             inside[inside] = np.asarray(igl.fast_winding_number(self.vertices, self.faces, some)) > 0.5

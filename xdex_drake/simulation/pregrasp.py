@@ -81,7 +81,7 @@ def pregrasp(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, *, cleara
     """
     # A little more than asked for: the solver stops at its own tolerance.
     program = pregrasp_program(hand, scene, X_WH, q, clearance + 5e-4)
-    point, _ = solve_sequential(program, iterations=12, trust=0.3)
+    point, _ = solve_sequential(program, iterations=12, trust=0.3, improvement=np.inf)
     q_open = np.clip(point.k.q, hand.limits[0], hand.limits[1])
     X_open = RigidTransform(X_WH.rotation(), point.k.X_WH.translation())
     end = Point(Configuration.at(hand, X_open, q_open), scene, NO_CONTACTS, np.zeros((0, 3)))
