@@ -31,8 +31,8 @@ MAX_ATTEMPTS = 200
 GENERATOR = 1
 """Version of the rule from name to hand; raised whenever a name comes to mean another hand."""
 
-REST_STEP = 0.02
-"""Step of the second that each hand is simulated at rest [s]."""
+REST_STEP = 0.05
+"""Step of the second that each hand is simulated at rest [s]; ten times a lift's, since a hand at rest stands still."""
 
 
 @dataclass(frozen=True)
@@ -105,16 +105,16 @@ def generate_hand(seed: int, index: int) -> Generated:
     rejected: list[str] = []
     for _ in range(MAX_ATTEMPTS):
         base, operations, hand = _draw(rng, human=index % HUMAN_EVERY == 0)
-        mended = hand if _first(check_hand(hand)).startswith("limits") else repaired_rest(hand)
-        if mended is None:
-            rejected.append("overlap")
-            continue
-        reasons = check_hand(mended)
+        reasons = check_hand(hand)
+        if _first(reasons).startswith("overlap"):
+            mended = repaired_rest(hand)
+            if mended is not None:
+                hand, reasons = mended, check_hand(mended)
         if not reasons:
-            mended = replace(mended, name=name, display_name=f"{hand.display_name}, variation {name}")
-            reasons = check_in_drake(mended, time_step=REST_STEP)
+            hand = replace(hand, name=name, display_name=f"{hand.display_name}, variation {name}")
+            reasons = check_in_drake(hand, time_step=REST_STEP)
         if not reasons:
-            return Generated(mended, base, operations, tuple(rejected))
+            return Generated(hand, base, operations, tuple(rejected))
         rejected.append(_first(reasons).partition(":")[0])
     raise UnknownHand(f"{name}: none of {MAX_ATTEMPTS} draws gave a sound hand; take another index")
 
@@ -132,7 +132,7 @@ def _draw(rng: np.random.Generator, *, human: bool) -> tuple[str, tuple[Operatio
         shape = sample_shape(rng)
         hand = human_hand(shape)
         hand = replace(hand, sources={**hand.sources, "base": f"human({_shape_text(shape)})"})
-        hand, operations = _vary_topology(rng, hand, int(rng.choice(4, p=[0.4, 0.3, 0.2, 0.1])))
+        hand, operations = _vary_topology(rng, hand, int(rng.choice(4, p=[0.25, 0.35, 0.25, 0.15])))
         return "human", operations, hand
     # Imported here: the library loads generated hands, too.
     from xdex_drake.hand.library import load_hand
@@ -141,7 +141,7 @@ def _draw(rng: np.random.Generator, *, human: bool) -> tuple[str, tuple[Operatio
     hand = load_hand(base)
     hand = replace(hand, sources={**hand.sources, "base": base})
     # Topology first: scaling then treats duplicates each in its own way.
-    hand, operations = _vary_topology(rng, hand, int(rng.choice(5, p=[0.1, 0.3, 0.3, 0.2, 0.1])))
+    hand, operations = _vary_topology(rng, hand, int(rng.choice(5, p=[0.05, 0.25, 0.3, 0.25, 0.15])))
     scaling = _draw_scaling(rng, hand)
     return base, (*operations, scaling), apply_operation(hand, scaling)
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Hashable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -637,6 +638,7 @@ def _rows(values: Array) -> str:
     return "[" + ", ".join(_row(row) for row in values) + "]"
 
 
+@lru_cache(maxsize=4096)
 def _text(value: str) -> str:
     """A text as YAML reads it back: bare where that is safe, else quoted as in JSON, which YAML contains."""
     plain = value.replace("_", "").replace(".", "").replace("-", "").isalnum() and value.isascii()
