@@ -29,7 +29,7 @@ def named_fingers(chains: list[list[str]]) -> list[str | None]:
     """
     counts = [{finger: sum(_speaks_of(name, finger) for name in names) for finger in FINGER_NAMES} for names in chains]
     for finger in FINGER_NAMES:
-        if len(chains) > 1 and all(count[finger] for count in counts):
+        if all(count[finger] for count in counts):
             least = min(count[finger] for count in counts)
             for count in counts:
                 count[finger] -= least

@@ -25,6 +25,9 @@ SLIP = 100.0
 LONGEST = 1.0
 """No hand reaches farther from its palm [m]."""
 
+MOST_TURN_OF_DEGREES = np.pi / 20.0
+"""Greatest range of a hand whose joint limits were meant in radians and taken as degrees, or nearly so [rad]."""
+
 SHORTEST = 0.02
 """No hand reaches less far [m]."""
 
@@ -95,6 +98,7 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
     )
     hand = replace(hand, q_rest=rest_posture(hand, anatomy, decisions), sources=_sources(model, decisions))
     _say_undriven(tree, decisions)
+    _say_narrow(hand, decisions)
     _say_ignored(model, tree, decisions)
     frames = {
         member.link.name: FileFrame(link.name, member.X_LF)
@@ -226,6 +230,13 @@ def _say_undriven(tree: Tree, decisions: Decisions) -> None:
     if idle:
         text = "moved by nothing in the file; taken as actuated. Give it a coupling, or equal limits to hold it."
         decisions.append(Decision("warning", f"joint {join(idle)}", text))
+
+
+def _say_narrow(hand: Hand, decisions: Decisions) -> None:
+    turns = [joint.upper - joint.lower for joint in hand.joints if joint.kind == "revolute"]
+    if turns and max(turns) < MOST_TURN_OF_DEGREES:
+        text = f"no joint turns by more than {np.degrees(max(turns)):.1f} degrees: are its angles in another unit?"
+        decisions.append(Decision("warning", "hand", text))
 
 
 def _say_ignored(model: FileModel, tree: Tree, decisions: Decisions) -> None:

@@ -95,13 +95,23 @@ def find_chains(tree: Tree, decisions: Decisions) -> list[Chain]:
         path = path[::-1]
         branch = max((n + 1 for n, k in enumerate(path[:-1]) if len(children[k]) > 1), default=0)
         chains.append(Chain(tuple(path[branch:]), tuple(path[:branch])))
-    kept = [chain for k, chain in enumerate(chains) if not _is_gear(hand, chain, chains[:k] + chains[k + 1 :])]
+    kept = [
+        chain
+        for k, chain in enumerate(chains)
+        if not _is_idle(tree, chain) and not _is_gear(hand, chain, chains[:k] + chains[k + 1 :])
+    ]
     if 0 < len(kept) < len(chains):
         bars = [hand.links[chain.bodies[-1]].name for chain in chains if chain not in kept]
-        text = "end on a finger that the same motor moves: parts of its gear, no fingers."
+        text = "not taken as a finger: a bar of a finger's gear, which ends on it or which nothing else moves."
         decisions.append(Decision("decided", f"link {join(bars)}", text))
         return kept
     return chains
+
+
+def _is_idle(tree: Tree, chain: Chain) -> bool:
+    """Whether the file says of each joint of a chain that nothing drives it."""
+    joints = tree.skeleton.joints
+    return all(tree.driven[k - 1] is False and joints[k - 1].coupling is None for k in chain.path)
 
 
 def _leaves(hand: Hand) -> list[int]:
@@ -125,8 +135,13 @@ def _palm_body(tree: Tree, model: FileModel) -> int:
     p_BLs = p[0]
     above = {leaf: _ancestors(hand, leaf) for leaf in leaves}
     if len(leaves) == 1:
-        # A lone short chain is a finger on its base; a long one is an arm with one moving jaw.
-        return 0 if len(above[leaves[0]]) <= 4 else int(hand.parents[leaves[0]])
+        if len(above[leaves[0]]) <= 4:
+            return 0
+        link = tree.members[int(hand.parents[leaves[0]])][0].link.name
+        raise HandFileError(
+            f"{model.source}: the robot is a chain of {len(above[leaves[0]])} joints without a branch, as an arm "
+            f"without a hand; give a hand, or, for a gripper with one moving jaw, its base, as by palm={link!r}"
+        )
     counts: dict[int, int] = {}
     for body in range(len(hand.links)):
         below = [leaf for leaf in leaves if body in above[leaf]]

@@ -8,7 +8,7 @@ from xdex_drake.hand.importing.anatomy import Anatomy
 from xdex_drake.hand.importing.bodies import link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions
 
-CURL = 1.4
+CURL = 1.6
 """How far the last link of a finger is turned at rest [rad], where its range allows."""
 
 SHARE = 0.45
@@ -20,18 +20,28 @@ OPENING = 0.06
 USUAL_SIZE = 0.18
 """Distance from the wrist to the farthest tip of a usual hand [m]."""
 
-CLEARANCE = 2e-3
+CLEARANCE = 1e-3
 """Distance that links keep at rest where they can [m]."""
 
 TRIALS = 3000
-ROUNDS = 4
+"""Number of postures that are tried first."""
+
+ROUNDS = 7
+"""Number of times that the best ones are refined."""
+
+PRESS = 300.0
+"""Cost of an overlap [1/m], against which that of a thumb that points elsewhere is of order one."""
+
+Pair = tuple[int, int, float]
+"""Two links and the distance they should keep [m]."""
 
 
 def rest_posture(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> Array:
     """A relaxed posture.
 
-    Fingers bend by `CURL`, or by `SHARE` of their range; joints that spread them stay near zero. The thumb's joints are
-    searched for the posture in which its pad and those of the first two fingers face each other at a hand's breadth.
+    Fingers bend by about `CURL`, or by `SHARE` of their range; joints that spread them stay near zero. The thumb's
+    joints are searched for the posture in which its pad and those of the first two fingers face each other at a hand's
+    breadth; the others give way where links would touch.
 
     Args:
         hand: The hand, complete but for its rest posture.
@@ -42,26 +52,25 @@ def rest_posture(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> Array:
         Actuated joint values [rad or m], shape (n,).
     """
     lower, upper = hand.limits
-    zero = np.clip(0.0, lower, upper)
-    q = _spread_posture(hand, zero)
+    q = _spread_posture(hand, np.clip(0.0, lower, upper))
     C = hand.coupling_matrix
     for digit, name in zip(anatomy.digits, anatomy.names, strict=True):
-        if name == "thumb" and len(anatomy.digits) > 1:
-            continue
-        q = _bent(hand, q, digit.closing, digit.chain.path, C)
+        if name != "thumb" or len(anatomy.digits) == 1:
+            q = _bent(hand, q, digit.closing, digit.chain.path, C)
     if "thumb" not in anatomy.names:
         return q
+    pairs = _free_pairs(hand)
     thumb = anatomy.digits[anatomy.names.index("thumb")]
-    moves = np.flatnonzero((C[[k - 1 for k in thumb.chain.path]] != 0.0).any(axis=0)).astype(np.int64)
+    moves = (C[[k - 1 for k in thumb.chain.path]] != 0.0).any(axis=0)
     if len(anatomy.digits) <= 3 and (thumb.closing[moves] != 0.0).all():
         # Claws and grippers: the thumb is one finger more.
         q = _bent(hand, q, thumb.closing, thumb.chain.path, C)
-        if not _rubbing(hand, q[None])[0] > 0.0:
+        if _overlap(hand, q[None], pairs)[0] <= 0.0:
             return q
-    best = _opposed(hand, anatomy, q, moves)
-    left = _rubbing(hand, best[None])[0]
-    if left > 1e-3:
-        text = f"its links overlap by up to {1e3 * left:.1f} mm at the rest posture; give it a freer one if they do."
+    best = _opposed(hand, anatomy, q, moves, pairs)
+    left = _overlap(hand, best[None], pairs)[0]
+    if left > CLEARANCE:
+        text = f"its links overlap by {1e3 * (left - CLEARANCE):.1f} mm at the rest posture; look at it and change it."
         decisions.append(Decision("warning", "hand", text))
     return best
 
@@ -73,40 +82,61 @@ def _spread_posture(hand: Hand, zero: Array) -> Array:
 
 
 def _bent(hand: Hand, q: Array, closing: Array, path: tuple[int, ...], C: Array) -> Array:
+    """A posture in which one finger is half bent; sliding jaws, and what is closed at zero, are half open."""
     lower, upper = hand.limits
-    zero = np.clip(0.0, lower, upper)
-    begin = np.where(closing > 0.0, np.maximum(zero, lower), np.minimum(zero, upper))
     end = np.where(closing > 0.0, upper, lower)
-    room = np.abs(end - begin)
-    if (room < 1e-6).all():
-        begin = np.where(closing > 0.0, lower, upper)
-        room = np.abs(end - begin)
+    begin = np.clip(0.0, lower, upper)
     rows = [k - 1 for k in path]
-    kinds = hand.prismatic[rows]
-    turn = float((np.abs(C[rows]) * (~kinds)[:, None] @ (room * (closing != 0.0))).sum())
-    already = float(np.abs(hand.coupling_offset[rows][~kinds]).sum())
-    share = 0.5 if kinds.any() or turn == 0.0 else float(np.clip((CURL - 0.5 * already) / turn, 0.15, SHARE))
-    return np.where(closing != 0.0, begin + share * (end - begin), q)
+    slides = (C[rows][hand.prismatic[rows]] != 0.0).any(axis=0)
+    full = slides | (np.abs(end - begin) < 0.1 * (upper - lower))
+    begin = np.where(full, np.where(closing > 0.0, lower, upper), begin)
+    gain = np.abs(C[rows])[~hand.prismatic[rows]].sum(axis=0)
+    turn = float((gain * np.abs(end - begin) * (closing != 0.0)).sum())
+    already = float(np.abs(hand.coupling_offset[rows][~hand.prismatic[rows]]).sum())
+    share = float(np.clip((CURL - 0.5 * already) / turn, 0.15, SHARE)) if turn > 0.0 else SHARE
+    return np.where(closing != 0.0, begin + np.where(full, 0.5, share) * (end - begin), q)
 
 
-def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.int64]) -> Array:
-    """The best of many postures of the thumb, refined by shrinking random steps."""
+def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], pairs: list[Pair]) -> Array:
+    """The best of many postures, refined by shrinking random steps: the thumb's anywhere, the others' near `q`."""
     lower, upper = hand.limits
+    span = upper - lower
     rng = np.random.default_rng(0)
+    thumb = anatomy.digits[anatomy.names.index("thumb")]
+
+    def cost(qs: Array) -> Array:
+        shift = np.where(moves & (thumb.closing == 0.0), 0.0, (qs - q) / np.maximum(span, 1e-9))
+        weight = np.where(moves, 1.0, 6.0)
+        backwards = np.maximum(thumb.closing * (np.clip(0.0, lower, upper) - qs), 0.0)
+        return _cost(hand, anatomy, qs) + (weight * shift**2).sum(axis=1) + 3.0 * (backwards**2).sum(axis=1)
+
+    q = np.where(moves, _bent(hand, q, thumb.closing, thumb.chain.path, hand.coupling_matrix), q)
     qs = np.repeat(q[None], TRIALS, axis=0)
-    qs[:, moves] = lower[moves] + rng.random((TRIALS, len(moves))) * (upper - lower)[moves]
-    scale = 0.5
+    qs[1:] += np.where(moves, 0.0, 0.12) * span * rng.normal(size=(TRIALS - 1, len(q)))
+    anywhere = lower + rng.random((TRIALS - 1, len(q))) * span
+    qs[1:, moves] = anywhere[:, moves]
+    qs = np.clip(qs, lower, upper)
+    scale = 0.2
     for _ in range(ROUNDS):
-        cost = _cost(hand, anatomy, qs)
-        order = np.argsort(cost, kind="stable")[:60]
-        exact = cost[order] + 60.0 * _rubbing(hand, qs[order])
-        best = qs[order[np.argsort(exact, kind="stable")[:12]]]
-        scale *= 0.4
-        steps = scale * (upper - lower)[moves] * rng.normal(size=(12 * 60, len(moves))) * 0.5
-        more = np.repeat(best, 60, axis=0)
-        more[:, moves] = np.clip(more[:, moves] + steps, lower[moves], upper[moves])
-        qs = np.concatenate([best, more])
-    return qs[0]
+        costs = cost(qs)
+        order = np.argsort(costs, kind="stable")[:150]
+        exact = costs[order] + PRESS * _overlap(hand, qs[order], pairs)
+        best = qs[order[np.argsort(exact, kind="stable")[:10]]]
+        steps = scale * span * rng.normal(size=(600, len(q))) * np.where(moves, 1.0, 0.3)
+        qs = np.concatenate([best, np.clip(np.repeat(best, 60, axis=0) + steps, lower, upper)])
+        scale *= 0.6
+    best = qs[0]
+
+    def total(q: Array) -> float:
+        return float((cost(q[None]) + PRESS * _overlap(hand, q[None], pairs))[0])
+
+    # What need not give way goes back.
+    for k in np.flatnonzero(~moves):
+        calm = best.copy()
+        calm[k] = q[k]
+        if total(calm) < total(best) + 0.02:
+            best = calm
+    return best
 
 
 def _cost(hand: Hand, anatomy: Anatomy, qs: Array) -> Array:
@@ -127,38 +157,66 @@ def _cost(hand: Hand, anatomy: Anatomy, qs: Array) -> Array:
         u = way / np.maximum(distance, 1e-9)[:, None]
         cost += 4.0 * ((distance - opening) / opening) ** 2
         cost += 1.5 * (1.0 - (pads["thumb"] * u).sum(axis=1)) + (1.0 + (pads[name] * u).sum(axis=1))
-    # In front of the palm, and not at the ends of the range.
+    # Facing the palm, in front of it, and not at the ends of the range.
+    cost += 0.8 * (1.0 + pads["thumb"] @ x_B)
     front = (tips["thumb"] - p[:, 0]) @ x_B + hand.p_HB[0]
     cost += 200.0 * np.maximum(0.015 - front, 0.0)
     lower, upper = hand.limits
     middle, half = 0.5 * (lower + upper), np.maximum(0.5 * (upper - lower), 1e-9)
-    return cost + 0.3 * (((qs - middle) / half) ** 4).mean(axis=1)
+    return cost + 0.5 * (((qs - middle) / half) ** 4).mean(axis=1)
 
 
-def _rubbing(hand: Hand, qs: Array) -> Array:
-    """Greatest overlap of links that are not neighbors, over what they overlap by at every posture [m], shape (N,)."""
-    R, p = link_poses(hand, qs)
+def _free_pairs(hand: Hand) -> list[Pair]:
+    """Pairs of links that are no neighbors, with the distance that they can be expected to keep."""
+    lower, upper = hand.limits
+    rng = np.random.default_rng(1)
+    qs = lower + rng.random((48, len(lower))) * (upper - lower)
     solid = [k for k, link in enumerate(hand.links) if len(link.spheres)]
     parent = {k: _solid_parent(hand, k) for k in solid}
-    centers = {k: p[:, k, None] + np.einsum("nab,mb->nma", R[:, k], hand.links[k].spheres[:, :3]) for k in solid}
-    worst = np.zeros(len(qs))
+    placed = _placed(hand, qs)
+    pairs = []
     for n, i in enumerate(solid):
         for j in solid[n + 1 :]:
-            if parent[i] == j or parent[j] == i or _grandparent(parent, i) == j or _grandparent(parent, j) == i:
-                continue
-            radii = hand.links[i].spheres[:, 3, None] + hand.links[j].spheres[None, :, 3]
-            reach = _radius(centers[i]) + _radius(centers[j]) + radii.max() + CLEARANCE
-            near = np.linalg.norm(centers[i].mean(axis=1) - centers[j].mean(axis=1), axis=1) < reach
-            if not near.any():
-                continue
-            a, b = centers[i][near], centers[j][near]
-            gap = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1) - radii
-            worst[near] = np.maximum(worst[near], CLEARANCE - gap.min(axis=(1, 2)))
+            if parent[i] != j and parent[j] != i:
+                reached = float(_gap(hand, placed, i, j, cut=CLEARANCE).max())
+                pairs.append((i, j, min(CLEARANCE, reached)))
+    return pairs
+
+
+def _overlap(hand: Hand, qs: Array, pairs: list[Pair]) -> Array:
+    """By how much some pair of links is nearer than it should be [m], shape (N,)."""
+    placed = _placed(hand, qs)
+    worst = np.zeros(len(qs))
+    for i, j, distance in pairs:
+        worst = np.maximum(worst, distance - _gap(hand, placed, i, j, cut=distance))
     return worst
 
 
-def _radius(points: Array) -> Array:
-    return np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
+def _placed(hand: Hand, qs: Array) -> list[tuple[Array, Array, float]]:
+    """For each link the centers of its spheres in B, and a ball that holds them: its center and its radius."""
+    R, p = link_poses(hand, qs)
+    placed = []
+    for k, link in enumerate(hand.links):
+        centers, radii = link.spheres[:, :3], link.spheres[:, 3]
+        middle = centers.mean(axis=0) if len(centers) else np.zeros(3)
+        reach = float((np.linalg.norm(centers - middle, axis=1) + radii).max(initial=0.0))
+        turned = np.swapaxes(R[:, k], 1, 2)
+        placed.append((p[:, k, None] + centers @ turned, p[:, k] + R[:, k] @ middle, reach))
+    return placed
+
+
+def _gap(hand: Hand, placed: list[tuple[Array, Array, float]], i: int, j: int, *, cut: float) -> Array:
+    """Distance between two links' spheres [m], exact where it is below `cut`, shape (N,)."""
+    (a, middle_a, reach_a), (b, middle_b, reach_b) = placed[i], placed[j]
+    apart = np.linalg.norm(middle_a - middle_b, axis=1) - reach_a - reach_b
+    near = np.flatnonzero(apart < cut)
+    gap = np.maximum(apart, cut)
+    if len(near):
+        radii = hand.links[i].spheres[:, 3, None] + hand.links[j].spheres[None, :, 3]
+        a, b = a[near], b[near]
+        squares = (a**2).sum(axis=2)[:, :, None] + (b**2).sum(axis=2)[:, None] - 2.0 * a @ np.swapaxes(b, 1, 2)
+        gap[near] = (np.sqrt(np.maximum(squares, 0.0)) - radii).min(axis=(1, 2))
+    return gap
 
 
 def _solid_parent(hand: Hand, k: int) -> int:
@@ -166,7 +224,3 @@ def _solid_parent(hand: Hand, k: int) -> int:
     while k >= 0 and not len(hand.links[k].spheres):
         k = int(hand.parents[k])
     return k
-
-
-def _grandparent(parent: dict[int, int], k: int) -> int | None:
-    return parent.get(parent[k])
