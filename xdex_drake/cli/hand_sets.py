@@ -82,7 +82,7 @@ class HandStats:
         folder: A folder of .yaml files, as `xdex hand generate` writes.
         out: Write the distributions as a .png figure.
         sheet: Write pictures of hands as a .png contact sheet.
-        pictures: Number of hands on the contact sheet, spread over the folder.
+        pictures: Number of hands on the contact sheet, drawn from the folder.
     """
 
     folder: tyro.conf.Positional[Path]
@@ -161,7 +161,7 @@ class HandBrowse:
     Attributes:
         hands: Names, paths, or folders of .yaml files.
         html: The page to write; it works offline.
-        most: Greatest number of hands of the page, spread over those that are given.
+        most: Greatest number of hands of the page, drawn from those that are given.
     """
 
     hands: tyro.conf.Positional[HandNames]
@@ -196,9 +196,12 @@ def _named(hands: Sequence[str]) -> list[str]:
 
 
 def _spread(items: Sequence[Item], most: int) -> list[Item]:
-    """Items at even distances."""
-    count = min(most, len(items))
-    return [items[k * len(items) // count] for k in range(count)]
+    """Some of the items, in their order: drawn, since every fifth of a set is of one kind."""
+    import random
+
+    if len(items) <= most:
+        return list(items)
+    return [items[k] for k in sorted(random.Random(0).sample(range(len(items)), most))]
 
 
 def _print_statistics(rows: Sequence[HandRow]) -> None:
