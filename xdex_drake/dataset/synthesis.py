@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
 from xdex_drake.scene.distance import sample_surface
+from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
 from xdex_drake.simulation.pregrasp import pregrasp, squeeze_targets
@@ -89,6 +91,15 @@ class Tally:
     seconds: float = 0.0
 
 
+@lru_cache(maxsize=8)
+def _surface_points(obj: ObjectModel) -> tuple[Array, Array]:
+    """Points of the surface of the parts and of the mesh, in O."""
+    return (
+        sample_surface(*obj.surface, SURFACE_POINTS, 0)[0],
+        sample_surface(obj.vertices, obj.faces, SURFACE_POINTS, 0)[0],
+    )
+
+
 def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, float]:
     """Depth of the deepest object surface point in the hand, against the parts and against the mesh.
 
@@ -100,9 +111,7 @@ def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, flo
     Returns:
         Depth against the convex parts and against the mesh [m].
     """
-    obj = scene.object
-    parts, _ = sample_surface(*obj.surface, SURFACE_POINTS, 0)
-    mesh, _ = sample_surface(obj.vertices, obj.faces, SURFACE_POINTS, 0)
+    parts, mesh = _surface_points(scene.object)
     return (
         float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ parts.T).T)),
         float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ mesh.T).T)),
