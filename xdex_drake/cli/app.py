@@ -47,6 +47,7 @@ COMMANDS: dict[str, Entry] = {
     "hand browse": Entry("hand_sets", "HandBrowse", "hands in Meshcat with a slider for every joint"),
     "object list": Entry("objects", "ObjectList", "the shapes of the library"),
     "object show": Entry("objects", "ObjectShow", "one object: mass, convex parts, how good they are"),
+    "object generate": Entry("objects", "ObjectGenerate", "generated shapes as mesh files, with a picture of them"),
     "object import": Entry("objects", "ObjectImport", "check, clean and scale mesh files"),
     "solve": Entry("solve", "Solve", "solve a problem file and read its costs and constraints"),
     "grasp": Entry("grasps", "GraspCommand", "grasps that are optimised, certified and lifted"),

@@ -125,6 +125,72 @@ class ObjectImport:
         return interruption.status(0)
 
 
+@dataclass(frozen=True)
+class ObjectGenerate:
+    """Generated shapes: everyday-like, closed, of a size for a hand, as many as wanted.
+
+    Each has a name, such as s0-0042 for number 42 of seed 0, by which every command builds it again without a file.
+    This command writes them as OBJ in metres, with an index and a picture of all of them.
+    Try `xdex object generate --count 64 --out shapes`, then `xdex grasp --hand allegro --object s0-0042`.
+
+    Attributes:
+        count: Number of shapes.
+        seed: Seed of the set; another seed gives other shapes.
+        out: Folder for the meshes, `index.csv` and `shapes.png`.
+        prepare: Also compute the convex parts, which takes seconds a shape; later commands find them in the cache.
+    """
+
+    count: int = 200
+    seed: int = 0
+    out: Path = Path("shapes")
+    prepare: tyro.conf.FlagCreatePairsOff[bool] = False
+
+    def run(self) -> int:
+        """Builds the shapes one by one and writes them."""
+        import numpy as np
+        import trimesh
+        from PIL import Image
+
+        from xdex_drake.errors import ConfigError, MissingExtra
+        from xdex_drake.scene.generator import family_name, generated_mesh, shape_name
+        from xdex_drake.scene.object import load_object
+        from xdex_drake.visualization.pictures import contact_sheet
+        from xdex_drake.visualization.shapes import render_shape
+
+        if not 1 <= self.count <= 100_000 or not 0 <= self.seed < 1_000_000_000:
+            raise ConfigError("--count must be from 1 to 100000, and --seed from 0 to 999999999")
+        check_writable(self.out / "index.csv")
+        lines, pictures, labels, families = ["name,family,x_m,y_m,z_m,volume_m3,triangles"], [], [], {}
+        with keeping_finished_work() as interruption, progress(self.count, "generate") as bar:
+            for index in range(self.count):
+                name = shape_name(self.seed, index)
+                family = family_name(name)
+                vertices, faces = generated_mesh(name)
+                _write_obj(self.out / f"{name}.obj", vertices, faces)
+                x, y, z = np.ptp(vertices, axis=0)
+                volume = float(trimesh.Trimesh(vertices, faces, process=False).volume)
+                lines.append(f"{name},{family},{x:.6f},{y:.6f},{z:.6f},{volume:.9f},{len(faces)}")
+                families[family] = families.get(family, 0) + 1
+                if self.prepare:
+                    load_object(name)
+                if len(pictures) < 400:
+                    try:
+                        pictures.append(render_shape(vertices, faces))
+                        labels.append(name)
+                    except MissingExtra:
+                        pass
+                bar.update()
+        from xdex_drake.cli.show import write_text
+
+        write_text(self.out / "index.csv", "\n".join(lines) + "\n")
+        if pictures:
+            Image.fromarray(contact_sheet(pictures, labels, columns=16)).save(self.out / "shapes.png")
+        print(table(list(families.items()), ("family", "shapes")))
+        picture = f", picture {self.out / 'shapes.png'}" if pictures else ", no picture: this machine cannot render"
+        print(f"{len(lines) - 1} written to {self.out}{picture}")
+        return interruption.status(0)
+
+
 def _write_obj(path: Path, vertices: object, faces: object) -> None:
     import numpy as np
 

@@ -21,6 +21,7 @@ from xdex_drake.scene.convex_parts import (
     write_cache,
 )
 from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
+from xdex_drake.scene.generator import generated_mesh, is_shape_name
 from xdex_drake.scene.mesh import clean_mesh, read_mesh
 from xdex_drake.scene.procedural import list_objects, procedural_mesh
 
@@ -143,10 +144,11 @@ class ObjectModel:
 def load_object(
     name_or_path: str | Path, *, scale: float = 1.0, mass: float = DEFAULT_MASS, friction: float = DEFAULT_FRICTION
 ) -> ObjectModel:
-    """Prepares an object: a shape of the library or any mesh file.
+    """Prepares an object: a shape of the library, a generated shape, or any mesh file.
 
     Args:
-        name_or_path: One of `list_objects()`, or the path of a mesh file.
+        name_or_path: One of `list_objects()`, the name of a generated shape (`s0-0042`: seed 0, number 42), or the path
+            of a mesh file.
         scale: Factor from the mesh file's unit to metres.
         mass: Mass [kg].
         friction: Coefficient of friction.
@@ -166,6 +168,9 @@ def load_object(
     text, path = str(name_or_path), None
     if isinstance(name_or_path, str) and text in list_objects():
         vertices, faces = procedural_mesh(text)
+        mesh, name = clean_mesh(vertices * scale, faces), text
+    elif isinstance(name_or_path, str) and is_shape_name(text):
+        vertices, faces = generated_mesh(text)
         mesh, name = clean_mesh(vertices * scale, faces), text
     elif isinstance(name_or_path, str) and "/" not in text and "\\" not in text and not Path(text).suffix:
         known = list_objects()

@@ -1,0 +1,78 @@
+"""Still pictures of meshes alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    GeometryInstance,
+    InMemoryMesh,
+    MakeRenderEngineVtk,
+    Mesh,
+    PerceptionProperties,
+    RenderEngineVtkParams,
+    Rgba,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+
+from xdex_drake.scene.bodies import OBJECT_COLOR
+from xdex_drake.visualization.pictures import (
+    CLEAR_COLOR,
+    FOV_Y,
+    RENDERER,
+    Image,
+    _backend,
+    _camera,
+    _lights,
+    _query,
+    _require_rendering,
+)
+
+Array = NDArray[np.float64]
+ELEVATION = 0.45
+"""Elevation from which a shape is seen [rad]."""
+
+AZIMUTH = -0.9
+"""Azimuth from which a shape is seen [rad]."""
+
+
+def render_shape(vertices: Array, faces: NDArray[np.int64], *, size: tuple[int, int] = (160, 140)) -> Image:
+    """Renders a mesh, framed.
+
+    Args:
+        vertices: Vertices, z up [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+        size: Width and height [pixels].
+
+    Returns:
+        Red, green and blue, shape (height, width, 3).
+
+    Raises:
+        MissingExtra: This machine cannot render.
+    """
+    _require_rendering()
+    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=0.5)
+    text = str(mesh.export(file_type="obj", include_normals=True))
+    scene_graph = SceneGraph()
+    # Without shadows, which are too coarse for a shape alone.
+    look = RenderEngineVtkParams(default_clear_color=np.array(CLEAR_COLOR), lights=_lights(), backend=_backend())
+    scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(look))
+    shape = Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "shape")))
+    instance = GeometryInstance(RigidTransform(), shape, "shape")
+    properties = PerceptionProperties()
+    properties.AddProperty("phong", "diffuse", Rgba(*OBJECT_COLOR))
+    instance.set_perception_properties(properties)
+    scene_graph.RegisterAnchoredGeometry(scene_graph.RegisterSource("shapes"), instance)
+    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    radius = float(np.linalg.norm(vertices - center, axis=1).max())
+    back = np.array([np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)])
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    R_WC = RotationMatrix(np.column_stack([right, -np.cross(back, right), -back]))
+    X_WC = RigidTransform(R_WC, center + back * 1.05 * radius / np.sin(0.5 * FOV_Y))
+    query = _query(scene_graph, scene_graph.CreateDefaultContext())
+    image = query.RenderColorImage(_camera(*size), scene_graph.world_frame_id(), X_WC)
+    return np.array(image.data[:, :, :3])
