@@ -41,6 +41,9 @@ COMMANDS: dict[str, Entry] = {
     "hand list": Entry("hands", "HandList", "the hands of the library"),
     "hand show": Entry("hands", "HandShow", "one hand: joints, fingers, where its facts come from"),
     "hand view": Entry("hands", "HandView", "one hand in Meshcat"),
+    "hand import": Entry("hands", "HandImport", "a hand from a URDF, MJCF or SDFormat file, with no annotation"),
+    "hand export": Entry("hands", "HandExport", "a hand as a URDF file with meshes, for other tools"),
+    "hand mirror": Entry("hands", "HandMirror", "the left hand of a right one"),
     "hand generate": Entry("hand_sets", "HandGenerate", "a thousand hands: human ones and variations of robot hands"),
     "hand stats": Entry("hand_sets", "HandStats", "count a folder of hands, and picture it"),
     "hand check": Entry("hand_sets", "HandCheck", "check hands, and let each rest for a second in Drake"),
@@ -64,9 +67,9 @@ COMMANDS: dict[str, Entry] = {
 }
 
 FOOTER = """\
-HAND is a name from `xdex hand list`, a generated hand such as g0-0137, or the path of a .yaml file; OBJECT is a name
-from `xdex object list` or the path of a mesh. `xdex COMMAND --help` tells more. Exit status: 0 done; 1 nothing was
-found; 2 bad input, told in one line."""
+HAND is a name from `xdex hand list`, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml (MJCF) or
+.sdf file; OBJECT is a name from `xdex object list` or the path of a mesh. `xdex COMMAND --help` tells more. Exit
+status: 0 done; 1 nothing was found; 2 bad input, told in one line."""
 
 
 def overview() -> str:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from xdex_drake.cli.output import check_output_file, facts, table
+from xdex_drake.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat, SceneGraph
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.systems.framework import DiagramBuilder
 
-    from xdex_drake.hand.description import Hand
+    from xdex_drake.hand.description import Array, Hand
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 
@@ -47,7 +49,7 @@ class HandShow:
     Try `xdex hand show shadow`, or give the path of a hand file to check it.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a .yaml file.
+        hand: Name of a hand of the library, or the path of a hand file.
     """
 
     hand: tyro.conf.Positional[HandName]
@@ -90,7 +92,7 @@ class HandView:
     Try `xdex hand view allegro`, or `xdex hand view allegro --html allegro.html` for a page that works offline.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a .yaml file.
+        hand: Name of a hand of the library, or the path of a hand file.
         html: Write one self-contained page instead of showing the hand live.
     """
 
@@ -112,6 +114,144 @@ class HandView:
             return wait_for_enter(meshcat.web_url())
         write_text(self.html, meshcat.StaticHtml())
         print(f"{hand.name}: {self.html}")
+        return 0
+
+
+@dataclass(frozen=True)
+class HandImport:
+    """A hand from a URDF, MJCF or SDFormat file, with no annotation.
+
+    Palm, wrist frame, fingers, fingertips, couplings, shapes, spheres and inertias are found by themselves; what was
+    missing or invalid is mended, and each decision is told. The .yaml file is read like any hand: correct by hand what
+    is wrong in it, and use its path wherever a HAND is asked for. `xdex grasp --hand FILE` also works at once, without
+    this command.
+
+    Meshes are read from the hand's own folder only: that of the file, or the ROS package (marked by package.xml) that
+    the file lies in. A xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
+
+    Try `xdex hand import hand.urdf --out hand.yaml --html hand.html`.
+
+    Attributes:
+        file: The file: .urdf, .xml (MJCF or URDF) or .sdf.
+        name: Name of the hand; made from the file's name where not given.
+        out: Where to write the description, a .yaml file; NAME.yaml in this folder where not given.
+        side: Which hand it is, where the file cannot tell.
+        palm: Name of the link that the fingers grow from, where another one was taken.
+        html: Write a page with the hand, a slider for every joint, and each decision.
+    """
+
+    file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE")]]
+    name: str | None = None
+    out: Path | None = None
+    side: Literal["right", "left"] | None = None
+    palm: str | None = None
+    html: Path | None = None
+
+    def run(self) -> int:
+        """Prints the decisions and writes the files."""
+        if self.out is not None:
+            check_output_file(self.out, ".yaml")
+        if self.html is not None:
+            check_output_file(self.html, ".html")
+        from xdex_drake.hand.importing.files import import_hand
+        from xdex_drake.hand.yaml_file import write_hand
+
+        imported = import_hand(self.file, name=self.name, side=self.side, palm=self.palm)
+        hand = imported.hand
+        out = self.out or Path(f"{hand.name}.yaml")
+        if self.out is None:
+            check_output_file(out, ".yaml")
+            if out.exists():
+                raise ConfigError(f"{out}: exists already; give --out to say where the hand shall be written")
+        coupled = sum(joint.coupling is not None for joint in hand.joints)
+        print(
+            facts(
+                [
+                    ("hand", f"{hand.name} ({hand.display_name}), {hand.side}"),
+                    ("palm", hand.links[0].name),
+                    ("links", len(hand.links)),
+                    ("actuated joints", f"{len(hand.joint_names)} of {len(hand.joints)}, {coupled} coupled"),
+                    ("mass [kg]", sum(link.mass for link in hand.links)),
+                    ("collision spheres", len(hand.spheres)),
+                ]
+            )
+        )
+        rows = [(f.name, f.tip_link, len(f.links), _millimetres(f.p_LTip)) for f in hand.fingers]
+        print("\n" + table(rows, ("finger", "tip link", "links", "tip point [mm]")))
+        if imported.decisions:
+            order = ("warning", "mended", "decided")
+            told = sorted(imported.decisions, key=lambda d: order.index(d.severity) if d.severity in order else 3)
+            print()
+            for decision in told:
+                text = f"{decision.subject}: {decision.text}"
+                print(textwrap.fill(text, 110, initial_indent=f"{decision.severity:<9}", subsequent_indent=9 * " "))
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_hand(hand, out)
+        print(f"\n{hand.name}: {out}; try `xdex hand view {out}` or `xdex grasp --hand {out}`")
+        if self.html is not None:
+            from xdex_drake.cli.show import write_text
+            from xdex_drake.visualization.import_page import import_page
+
+            write_text(self.html, import_page(imported))
+            print(f"{hand.name}: {self.html}")
+        return 0
+
+
+def _millimetres(p: Array) -> str:
+    return ", ".join(f"{1000.0 * value:.1f}" for value in p)
+
+
+@dataclass(frozen=True)
+class HandExport:
+    """A hand as a URDF file with OBJ meshes, which MuJoCo, Pinocchio, yourdfpy, Drake and others open.
+
+    Joint names, limits, efforts, couplings (mimic) and inertias are the hand's own. The link `wrist` marks the wrist
+    frame, and FINGER_tip the fingertips. Try `xdex hand export allegro --out allegro_urdf`.
+
+    Attributes:
+        hand: Name of a hand of the library, or the path of a hand file.
+        out: Folder for NAME.urdf and meshes/; NAME_urdf in this folder where not given.
+    """
+
+    hand: tyro.conf.Positional[HandName]
+    out: Path | None = None
+
+    def run(self) -> int:
+        """Writes the files."""
+        from xdex_drake.hand.export import export_urdf
+        from xdex_drake.hand.library import load_hand
+
+        hand = load_hand(self.hand)
+        print(f"{hand.name}: {export_urdf(hand, self.out or Path(f'{hand.name}_urdf'))}")
+        return 0
+
+
+@dataclass(frozen=True)
+class HandMirror:
+    """The left hand of a right one, or the other way round.
+
+    Joints keep their names and values: the same q gives the mirrored pose. Try
+    `xdex hand mirror allegro --out allegro_left.yaml`.
+
+    Attributes:
+        hand: Name of a hand of the library, or the path of a hand file.
+        out: Where to write the description, a .yaml file.
+    """
+
+    hand: tyro.conf.Positional[HandName]
+    out: Path
+
+    def run(self) -> int:
+        """Writes the file."""
+        check_output_file(self.out, ".yaml")
+        from xdex_drake.hand.library import load_hand
+        from xdex_drake.hand.mirror import mirror
+        from xdex_drake.hand.yaml_file import write_hand
+
+        other = mirror(load_hand(self.hand))
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        write_hand(other, self.out)
+        print(f"{other.name}: {self.out}")
         return 0
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import gc
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,16 @@ MOST_HANDS = 100
 _PATH = "/drake/hands"
 
 
-def browser_page(hands: Sequence[Hand], *, title: str = "Hands") -> str:
+def browser_page(
+    hands: Sequence[Hand], *, title: str = "Hands", extend: Callable[[Meshcat, str, Hand], None] | None = None
+) -> str:
     """A page that shows one hand at a time, chosen from a list, with sliders for its actuated joints.
 
     Args:
         hands: The hands; at least one.
         title: Title of the page.
+        extend: Draws more of a hand; it gets Meshcat, the hand's path, below which `PATH/k` moves with link k, and the
+            hand.
 
     Returns:
         HTML that needs no other file and no network.
@@ -46,6 +50,8 @@ def browser_page(hands: Sequence[Hand], *, title: str = "Hands") -> str:
     try:
         for k, hand in enumerate(hands):
             _draw(meshcat, f"{_PATH}/{k}", hand)
+            if extend is not None:
+                extend(meshcat, f"{_PATH}/{k}", hand)
         _aim(meshcat, max(hand_size(hand) for hand in hands))
         page = meshcat.StaticHtml()
     finally:

@@ -20,6 +20,7 @@ from xdex_drake.hand.importing.tree import as_one_tree, check_mimics
 from xdex_drake.hand.importing.xml_file import Element, Place, check_names, read_xml
 
 WHAT = "a URDF file of one hand"
+MAX_PAIRS = 10_000
 KINDS = ("revolute", "continuous", "prismatic", "fixed")
 
 
@@ -56,10 +57,9 @@ def read_urdf(path: str | Path) -> FileModel:
     )
     check_mimics(file_joints, source)
     file_links, file_joints = as_one_tree(source, file_links, file_joints, notes)
-    if any(child.tag.endswith("collision_filter_group") for child in root):
-        notes.append("collision filter groups of the file are not read; links that touch at rest are found instead")
+    pairs = _filtered(root, {link.name for link in file_links})
     name = root.get("name") or path.stem
-    return FileModel(name, source, file_links, file_joints, (), tuple(dict.fromkeys(notes)))
+    return FileModel(name, source, file_links, file_joints, pairs, tuple(dict.fromkeys(notes)))
 
 
 def _refuse_xacro(root: Element, path: Path) -> None:
@@ -76,6 +76,25 @@ def _named(root: Element, tag: str, source: str) -> dict[str, Place]:
     names = [place.text("name") for place in places]
     check_names(names, tag, source)
     return {name: Place(p.element, source, f"{tag} {name!r}") for name, p in zip(names, places, strict=True)}
+
+
+def _filtered(root: Element, names: set[str]) -> tuple[tuple[str, str], ...]:
+    """Pairs of links that Drake's collision filter groups keep from colliding."""
+    members: dict[str, list[str]] = {}
+    ignored: list[tuple[str, str]] = []
+    for group in root.findall("drake:collision_filter_group"):
+        name = group.get("name", "")
+        members[name] = [k for m in group.findall("drake:member") if (k := m.get("link", "")) in names]
+        ignored += [(name, other.get("name", "")) for other in group.findall("drake:ignored_collision_filter_group")]
+    pairs: dict[tuple[str, str], None] = {}
+    for first, second in ignored:
+        for a in members.get(first, ()):
+            for b in members.get(second, ()):
+                if a != b:
+                    pairs[min(a, b), max(a, b)] = None
+                if len(pairs) > MAX_PAIRS:
+                    return tuple(pairs)
+    return tuple(pairs)
 
 
 def _pose(place: Place | None) -> tuple[Array, Array]:
