@@ -9,6 +9,7 @@ from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.library import load_hand
 from xdex_drake.programs.force_closure import PolishSettings, polish_program, wishes
 from xdex_drake.programs.grasp_types import (
+    GraspType,
     approach_axis,
     approach_cost,
     contact_slots,
@@ -31,7 +32,8 @@ def test_types_choose_fingers_and_palm(name):
     hand = load_hand(name)
     n = len(hand.fingers)
     thumb = [f.name for f in hand.fingers].index("thumb")
-    for kind, fingers in {"any": {3, 4}, "pinch": {2}, "tripod": {3}, "power": {3, 4}}.items():
+    expected: dict[GraspType, set[int]] = {"any": {3, 4}, "pinch": {2}, "tripod": {3}, "power": {3, 4}}
+    for kind, fingers in expected.items():
         sets = random_contact_sets(hand, np.random.default_rng(0), 50, 4, kind)
         assert sets.shape == (50, n + (kind == "power"))
         assert set(sets[:, :n].sum(axis=1)) <= fingers and sets[:, thumb].all() and sets[:, n:].all()
