@@ -46,11 +46,10 @@ def read_sdf(path: str | Path) -> FileModel:
     notes: list[str] = []
     with tempfile.TemporaryDirectory(prefix="xdex-sdf-") as folder:
         _check(root, path)
-        _localize_meshes(root, path, Path(folder), notes)
+        names = _localize_meshes(root, path, Path(folder), notes)
         copy = Path(folder) / "hand.sdf"
         ElementTree.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
         model = _parse_apart(copy, path)
-    names = {file: source for file, source in _sources(root).items()}
     return FileModel(
         model.name, str(path), _renamed(model, names), model.joints, model.ignored_pairs, (*notes, *model.notes)
     )
@@ -93,8 +92,12 @@ def _number(limit: Element, tag: str, default: float, source: str, place: str) -
         raise HandFileError(f"{source}: {place} has the {tag} limit {text!r:.40}; write a number") from None
 
 
-def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) -> None:
-    """Lets each mesh element refer to an OBJ file in `folder`; removes visuals and collisions whose mesh is missing."""
+def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) -> dict[str, str]:
+    """Lets each mesh element refer to an OBJ file in `folder`, removes shapes whose mesh is missing.
+
+    Returns:
+        Name of the mesh's own file by that of the OBJ file.
+    """
     meshes = MeshFiles(path)
     written: dict[tuple[Path, str], str] = {}
     for link in root.iter("link"):
@@ -117,22 +120,18 @@ def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) 
                 entry = element.find("uri")
                 assert entry is not None
                 entry.text = written[file, uri]
-                entry.set("source", file.name)
     for element in root.iter():
         if element.tag in ("uri", "filename") and not (element.text or "").startswith("mesh_"):
             element.text = ""
     for parent in list(root.iter()):
         parent[:] = [child for child in parent if child.tag not in ("plugin", "sensor")]
+    return {target: file.name for (file, _), target in written.items()}
 
 
 def _write_obj(mesh: TriangleMesh, file: Path) -> None:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     file.write_text("\n".join(lines) + "\n", encoding="ascii")
-
-
-def _sources(root: Element) -> dict[str, str]:
-    return {(entry.text or ""): entry.attrib["source"] for entry in root.iter("uri") if "source" in entry.attrib}
 
 
 def _renamed(model: FileModel, names: dict[str, str]) -> tuple[FileLink, ...]:
