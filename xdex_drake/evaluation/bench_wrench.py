@@ -21,7 +21,7 @@ SIDES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0
 
 
 def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
-    """Grasps of three, four and six contacts; joints of three links each carry them within effort limits.
+    """Grasps of three, four and six contacts, fingers of three joints behind them; each program runs five times.
 
     Args:
         watch: Where times go: balance (the solver alone, with building, within efforts), task margin, ball margin,
@@ -43,31 +43,31 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
             within = {"A": A, "effort": np.full(3 * n, 0.7), "length": RADIUS}
             program = _program(G, gravity)
             four = n == 4
-            watch.time(
+            watch.time_often(
                 f"balance, {n} contacts, solver alone",
                 lambda p=program: solve_conic(*p),
                 target_ms=0.3 if four else None,
             )
-            watch.time(
+            watch.time_often(
                 f"balance, {n} contacts",
                 lambda G=G: contact.balance(G, MU, gravity, length=RADIUS),
                 target_ms=0.6 if four else None,
             )
-            watch.time(f"balance within efforts, {n}", lambda G=G, w=within: contact.balance(G, MU, gravity, **w))
-            watch.time(
+            watch.time_often(f"balance within efforts, {n}", lambda G=G, w=within: contact.balance(G, MU, gravity, **w))
+            watch.time_often(
                 f"task margin, six pushes, {n}",
                 lambda G=G, w=within: contact.task_margin(
                     G, MU, gravity, pushes, w["A"], w["effort"], length=w["length"]
                 ),
             )
-            ball = watch.time(
+            ball = watch.time_often(
                 f"ball margin to 1e-3, {n}",
                 lambda G=G: contact.ball_margin(G, MU, length=RADIUS),
                 target_ms=5.0 if four else None,
             )
             bracket = ball.upper - ball.lower
             watch.facts["widest bracket"] = max(watch.facts.get("widest bracket", 0.0), bracket)
-            result = watch.time(
+            result = watch.time_often(
                 f"certificate, {n}",
                 lambda out=out, w=within: contact.certify(
                     RADIUS * out,
@@ -82,7 +82,7 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
             )
             if result.certificate is not None:
                 watch.count("certified")
-                left = watch.time(
+                left = watch.time_often(
                     f"check without a solver, {n}",
                     lambda c=result.certificate: contact.check_certificate(c),
                     target_ms=5.0 if four else None,
