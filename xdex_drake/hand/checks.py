@@ -45,6 +45,12 @@ CLOSED = 0.05
 DRIFT = 1e-3
 """Greatest joint motion of a hand that is held at rest for a second without gravity [rad or m]."""
 
+NEAR_REST = 0.15
+"""Postures near rest are within this share of each joint's range."""
+
+NEAR_POSTURES = 20
+"""Number of postures near rest, in half of which at least no links may overlap; the robot hands manage 12 to 20."""
+
 _POSTURES = 256
 
 
@@ -56,8 +62,8 @@ def check_hand(hand: Hand) -> tuple[str, ...]:
 
     Checked are, in this order, and no further once something is wrong: sizes of the tree; masses and inertias; limits
     and the rest posture; numbers that are not finite; the size of the hand; links that overlap at rest though no joint
-    connects them; that two fingertips oppose each other; that each finger closes. The last two are judged by 256
-    postures drawn uniformly within the limits (always the same).
+    connects them; that the hand can move around its rest without overlaps; that two fingertips oppose each other; that
+    each finger closes. The last two are judged by 256 postures drawn uniformly within the limits (always the same).
 
     Args:
         hand: The hand.
@@ -65,7 +71,8 @@ def check_hand(hand: Hand) -> tuple[str, ...]:
     Returns:
         Reasons, each a word, a colon and what is wrong; empty for a good hand.
     """
-    for check in (_tree_reasons, _inertia_reasons, _limit_reasons, _size_reasons, _overlap_reasons, _grasp_reasons):
+    checks = (_tree_reasons, _inertia_reasons, _limit_reasons, _size_reasons, _overlap_reasons, _freedom_reasons)
+    for check in (*checks, _grasp_reasons):
         reasons = tuple(check(hand))
         if reasons:
             return reasons
@@ -123,6 +130,18 @@ def _overlap_reasons(hand: Hand) -> Iterator[str]:
     pairs = _OverlapTest(hand).pairs(_poses(hand, hand.q_rest[None]), 0)
     for i, j in pairs[:3]:
         yield f"overlap: links {hand.links[i].name!r} and {hand.links[j].name!r} at rest"
+
+
+def _freedom_reasons(hand: Hand) -> Iterator[str]:
+    low, high = hand.limits
+    around = np.random.default_rng(0).uniform(-NEAR_REST, NEAR_REST, (NEAR_POSTURES, len(low)))
+    poses = _poses(hand, np.clip(hand.q_rest + around * (high - low), low, high))
+    test, free = _OverlapTest(hand), 0
+    for k in range(NEAR_POSTURES):
+        free += not test.pairs(poses, k)
+        if 2 * free >= NEAR_POSTURES:
+            return
+    yield f"freedom: links overlap in {NEAR_POSTURES - free} of {NEAR_POSTURES} postures near rest"
 
 
 def _grasp_reasons(hand: Hand) -> Iterator[str]:

@@ -99,7 +99,7 @@ KNUCKLES = {
 """Knuckle centers: along z over hand length and along y over hand breadth (Buchholz et al. 1992), and along x over hand
 breadth (the arch of the MyoHand model, an average hand)."""
 
-FAN = {"index": (4.5, -3.0), "middle": (0.5, 2.0), "ring": (-3.5, 7.0), "little": (-8.0, 14.0)}
+FAN = {"index": (5.5, -3.0), "middle": (1.0, 2.0), "ring": (-4.0, 7.0), "little": (-9.5, 14.0)}
 """How a finger lies at zero: turned about x (spread) and about z (so that bent fingers head for the thumb) [deg].
 
 A third to a half of the MyoHand model's, whose neighbouring fingers, at 90 degrees, pass through each other."""
@@ -138,11 +138,11 @@ REST = {
 FINGERTIP_FORCE = {"thumb": 60.0, "index": 40.0, "middle": 40.0, "ring": 28.0, "little": 20.0}
 """Fingertip forces [N] from which efforts are estimated: about two thirds of an adult's pinch strength."""
 
-SOFTNESS = 0.96
+SOFTNESS = 0.92
 """Radii are this fraction of half the breadth: neighbouring fingers touch in life, and skin yields."""
 
-CLEARANCE = 1e-3
-"""Gap between the bases of neighbouring fingers [m]."""
+CLEARANCE = 3e-3
+"""Least gap between the bases of neighbouring fingers [m]: less, and they would hardly move without touching."""
 
 _JOINTS = {"thumb": ("cmc_opposition", "cmc_abduction", "mcp", "ip")}
 _FINGER_JOINTS = ("mcp_abduction", "mcp", "pip", "dip")
