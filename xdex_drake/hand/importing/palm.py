@@ -66,8 +66,8 @@ def find_hand(model: FileModel, palm: str | None, decisions: Decisions) -> Tree:
         while k:
             above.append(whole.skeleton.joints[k - 1].name)
             k = int(whole.skeleton.parents[k])
-        behind = [member.link.name for b in _ancestors(whole.skeleton, body) for member in whole.members[b]]
-        text = f"is the palm, from which the fingers branch; left out are {join(behind[::-1])} behind it and "
+        behind = [member.link.name for b in _ancestors(whole.skeleton, body)[::-1] for member in whole.members[b]]
+        text = f"is the palm, from which the fingers branch; left out are {join(behind)} behind it and "
         text += f"{'joint' if len(above) == 1 else 'joints'} {join(above[::-1])}."
         decisions.append(Decision("decided", f"link {name}", text))
     return tree

@@ -20,6 +20,9 @@ OPENING = 0.06
 USUAL_SIZE = 0.18
 """Distance from the wrist to the farthest tip of a usual hand [m]."""
 
+SLACK = 2e-3
+"""Spheres of boxes and hulls bulge: an overlap of this much [m] is no contact."""
+
 CLEARANCE = 1e-3
 """Distance that links keep at rest where they can [m]."""
 
@@ -63,13 +66,18 @@ def rest_posture(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> Array:
     thumb = anatomy.digits[anatomy.names.index("thumb")]
     moves = (C[[k - 1 for k in thumb.chain.path]] != 0.0).any(axis=0)
     if len(anatomy.digits) <= 3 and (thumb.closing[moves] != 0.0).all():
-        # Claws and grippers: the thumb is one finger more.
+        # Claws and grippers: all close together, as far as suits the tips; sliding jaws are half open.
+        closing = np.sum([digit.closing for digit in anatomy.digits], axis=0)
         q = _bent(hand, q, thumb.closing, thumb.chain.path, C)
-        if _overlap(hand, q[None], pairs)[0] <= 0.0:
+        turning = (closing != 0.0) & ~(C[hand.prismatic] != 0.0).any(axis=0)
+        open_, closed = np.where(closing > 0.0, lower, upper), np.where(closing > 0.0, upper, lower)
+        qs = np.where(turning, open_ + np.linspace(0.02, 0.98, 49)[:, None] * (closed - open_), q)
+        q = qs[int(np.argmin(_cost(hand, anatomy, qs) + PRESS * _overlap(hand, qs, pairs)))]
+        if _overlap(hand, q[None], pairs)[0] <= SLACK:
             return q
     best = _opposed(hand, anatomy, q, moves, pairs)
     left = _overlap(hand, best[None], pairs)[0]
-    if left > CLEARANCE:
+    if left > CLEARANCE + SLACK:
         text = f"its links overlap by {1e3 * (left - CLEARANCE):.1f} mm at the rest posture; look at it and change it."
         decisions.append(Decision("warning", "hand", text))
     return best
