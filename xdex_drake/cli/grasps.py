@@ -32,8 +32,8 @@ class GraspCommand:
     Try `xdex grasp --hand allegro --object mug --count 10 --html mug.html`.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a .yaml file.
-        object: Name of a shape of the library, or the path of a mesh.
+        hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
+        object: A library name, a generated shape such as s0-0042, or the path of a mesh.
         count: How many grasps that lift are wanted.
         seed: Seed of the search; another seed gives other grasps.
         out: The file of grasps.

@@ -49,7 +49,7 @@ class HandShow:
     Try `xdex hand show shadow`, or give the path of a hand file to check it.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a hand file.
+        hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
     """
 
     hand: tyro.conf.Positional[HandName]
@@ -92,7 +92,7 @@ class HandView:
     Try `xdex hand view allegro`, or `xdex hand view allegro --html allegro.html` for a page that works offline.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a hand file.
+        hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
         html: Write one self-contained page instead of showing the hand live.
     """
 
@@ -209,7 +209,7 @@ class HandExport:
     frame, and FINGER_tip the fingertips. Try `xdex hand export allegro --out allegro_urdf`.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a hand file.
+        hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
         out: Folder for NAME.urdf and meshes/; NAME_urdf in this folder where not given.
     """
 
@@ -234,7 +234,7 @@ class HandMirror:
     `xdex hand mirror allegro --out allegro_left.yaml`.
 
     Attributes:
-        hand: Name of a hand of the library, or the path of a hand file.
+        hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
         out: Where to write the description, a .yaml file.
     """
 

@@ -41,7 +41,7 @@ class ObjectShow:
     Try `xdex object show mug`, or `xdex object show part.stl --scale 0.001` for a mesh in millimetres.
 
     Attributes:
-        object: Name of a shape of the library, or the path of a mesh.
+        object: A library name, a generated shape such as s0-0042, or the path of a mesh.
         scale: Factor from the mesh file's unit to metres.
     """
 

@@ -19,8 +19,8 @@ class Predict:
     Try `xdex predict --hand shadow ability --object mug --count 20`.
 
     Attributes:
-        hand: The hands: library names, or paths of .yaml files.
-        object: Name of a shape of the library, or the path of a mesh.
+        hand: The hands: library names, generated ones such as g0-0137, or paths of .yaml, .urdf, .xml or .sdf files.
+        object: A library name, a generated shape such as s0-0042, or the path of a mesh.
         count: Draws for each hand.
         seed: Seed of the draws.
         model: A checkpoint, or the folder that holds it.
