@@ -8,11 +8,12 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.contact.certificate import check_certificate
 from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
+from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
-from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp
+from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp, straight_approach
 from xdex_drake.simulation.protocol import LIFT
 
 
@@ -132,3 +133,22 @@ def test_the_sources_play_the_targets(rig, grasps):
             played = source.get_output_port().Eval(source.GetMyContextFromRoot(context))
             np.testing.assert_allclose(played[: len(value)], value, atol=1e-12)
             np.testing.assert_array_equal(played[len(value) :], 0.0)
+
+
+def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, scene):
+    for grasp in grasps[:8]:
+        way = straight_approach(hand, scene, grasp.X_WH_pregrasp, grasp.q_pregrasp)
+        assert way is not None and np.linalg.norm(way.direction_W) == pytest.approx(1.0)
+        assert way.clearance >= 2e-3
+        for share in (0.0, 0.033, 0.1):
+            X_WH = RigidTransform(
+                grasp.X_WH_pregrasp.rotation(), grasp.X_WH_pregrasp.translation() + share * way.direction_W
+            )
+            k = Configuration.at(hand, X_WH, grasp.q_pregrasp)
+            centers = k.points(hand.sphere_links, hand.spheres[:, :3])
+            gaps = scene.object.exact.query((scene.X_WO.inverse() @ centers.T).T).distance - hand.spheres[:, 3]
+            assert gaps.min() >= (CLEARANCE if share == 0.0 else 1.9e-3)
+
+
+def test_a_hand_that_holds_the_object_has_no_straight_way(grasps, hand, scene):
+    assert straight_approach(hand, scene, grasps[0].X_WH, grasps[0].q_squeeze) is None

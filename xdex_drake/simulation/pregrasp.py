@@ -125,3 +125,60 @@ def squeeze_targets(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
     k = Configuration.at(hand, grasp.X_WH, grasp.q)
     torques = np.clip(contact_torques(hand, k, scene, grasp.certificate), -hand.effort, hand.effort)
     return grasp.q + torques / kp
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A straight way of the open hand to its pre-grasp.
+
+    Attributes:
+        direction_W: Unit vector from the pre-grasp to where the hand comes from, in W, shape (3,).
+        clearance: Least gap between a sphere of the hand and the object on the way [m].
+        height: Least height of a sphere of the hand above the table on the way [m].
+    """
+
+    direction_W: Array
+    clearance: float
+    height: float
+
+
+def straight_approach(
+    hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, *, length: float = 0.1, clearance: float = 2e-3
+) -> Approach | None:
+    """Finds a straight way to a pre-grasp, clear of object and table.
+
+    Tried are the directions against the palm's normal, against the fingers, up, and those half way between them.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        X_WH: Wrist pose of the pre-grasp.
+        q: Its joint values, shape (n,).
+        length: Length of the way [m].
+        clearance: Gap to keep from the object [m]; the table may be touched no deeper than at the pre-grasp itself.
+
+    Returns:
+        The first clear way, None where there is none among those tried.
+    """
+    R_WH = X_WH.rotation().matrix()
+    away, back, up = -R_WH[:, 0], -R_WH[:, 2], np.array([0.0, 0.0, 1.0])
+    start = _gaps(hand, scene, X_WH, q)
+    floor = min(start[1], 0.0)
+    for direction in (away, away + up, up, away + back, back + up, back, away + back + up):
+        if (norm := float(np.linalg.norm(direction))) < 1e-3:
+            continue
+        unit, gaps = direction / norm, [start]
+        # Steps of 5 mm, and no more once one is in the way.
+        for step in np.linspace(0.0, length, max(2, round(length / 5e-3) + 1))[1:]:
+            gaps.append(_gaps(hand, scene, RigidTransform(X_WH.rotation(), X_WH.translation() + step * unit), q))
+            if gaps[-1][0] < clearance or gaps[-1][1] < floor - 1e-9:
+                break
+        else:
+            return Approach(unit, min(gap for gap, _ in gaps), min(height for _, height in gaps))
+    return None
+
+
+def _gaps(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array) -> tuple[float, float]:
+    """Least gap between hand and object, and least height of the hand above the table [m]."""
+    at = Point(Configuration.at(hand, X_WH, q), scene, NO_CONTACTS, np.zeros((0, 3)))
+    return float(np.min(at.object_distances[1], initial=np.inf)), float((at.centers_W[:, 2] - hand.spheres[:, 3]).min())
