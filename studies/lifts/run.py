@@ -14,8 +14,15 @@ import time
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from pydrake.systems.framework import Context
+
+    from xdex_drake.grasp import Grasp, Lift
+    from xdex_drake.simulation.lift import LiftRig
 
 SETTINGS = {
     "ours": {},
@@ -26,8 +33,8 @@ SETTINGS = {
 COLUMNS = ("hand", "object", "grasp", "setting", "success", "reason", "rise_m", "force_ratio", "creep_mm", "seconds")
 
 
-def lift_with_gauges(rig, grasp):
-    """Lifts; returns verdict, measured over promised sum of normal forces, motion in the hand while held [mm], CPU [s]."""
+def lift_with_gauges(rig: "LiftRig", grasp: "Grasp") -> "tuple[Lift, float, float, float]":
+    """Verdict, sum of normal forces measured over promised, motion in the hand while held [mm], CPU [s]."""
     from pydrake.systems.framework import EventStatus
 
     from xdex_drake.simulation.lift import simulate_lift
@@ -37,7 +44,7 @@ def lift_with_gauges(rig, grasp):
     begin = protocol.close_s + protocol.squeeze_s + protocol.rise_s
     seen = []
 
-    def monitor(root):
+    def monitor(root: "Context") -> EventStatus:
         if root.get_time() >= begin:
             context = plant.GetMyContextFromRoot(root)
             wrist = plant.EvalBodyPoseInWorld(context, bench.links[0])
@@ -64,7 +71,8 @@ def lift_with_gauges(rig, grasp):
     return lift, normal / promised, 1e3 * float(np.linalg.norm(seen[-1] - seen[0])), seconds
 
 
-def run(hands, objects, count, out):
+def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
+    """Lifts at every setting and appends a row for each."""
     from xdex_drake.dataset.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
@@ -97,7 +105,8 @@ def run(hands, objects, count, out):
                     file.flush()
 
 
-def summarize(path):
+def summarize(path: Path) -> None:
+    """Prints the table of the docs."""
     rows = list(csv.DictReader(path.open()))
     groups = defaultdict(list)
     verdict = {}
