@@ -17,9 +17,17 @@ if TYPE_CHECKING:
     from xdex_drake.dataset.synthesis import Tally, finish_grasp, synthesize
     from xdex_drake.errors import XdexError
     from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
-    from xdex_drake.hand.description import Hand
+    from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands
+    from xdex_drake.hand.checks import check_hand
+    from xdex_drake.hand.description import Capsule, Hand
+    from xdex_drake.hand.export import export_urdf
+    from xdex_drake.hand.generation import generated_hand
+    from xdex_drake.hand.human import human_hand, sample_shape
+    from xdex_drake.hand.importing.files import hand_from_plant, import_hand
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.hand.library import list_hands, load_hand
+    from xdex_drake.hand.mirror import mirror, replace_tip
+    from xdex_drake.hand.variation import apply_operations, remove_finger, scale_hand
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
     from xdex_drake.programs.link_pose_ik import link_pose_ik, link_pose_ik_program
     from xdex_drake.programs.problems import list_problems, load_problem
@@ -32,6 +40,9 @@ if TYPE_CHECKING:
     from xdex_drake.scene.tabletop import Scene, make_scene, point_cloud
     from xdex_drake.simulation.lift import lift
     from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+    from xdex_drake.visualization.hand_browser import browser_page
+    from xdex_drake.visualization.hand_sets import hands_sheet
+    from xdex_drake.visualization.import_page import import_page
     from xdex_drake.visualization.pictures import render_grasp
     from xdex_drake.visualization.replay import grasp_page, replay_lift, view_live
 
@@ -47,9 +58,17 @@ _MODULES = {
     "dataset.synthesis": ("Tally", "finish_grasp", "synthesize"),
     "errors": ("XdexError",),
     "grasp": ("Certificate", "Contact", "Grasp", "Lift"),
-    "hand.description": ("Hand",),
+    "hand.batched_kinematics": ("BatchedHand", "PaddedHands"),
+    "hand.checks": ("check_hand",),
+    "hand.description": ("Capsule", "Hand"),
+    "hand.export": ("export_urdf",),
+    "hand.generation": ("generated_hand",),
+    "hand.human": ("human_hand", "sample_shape"),
+    "hand.importing.files": ("hand_from_plant", "import_hand"),
     "hand.kinematics": ("Configuration",),
     "hand.library": ("list_hands", "load_hand"),
+    "hand.mirror": ("mirror", "replace_tip"),
+    "hand.variation": ("apply_operations", "remove_finger", "scale_hand"),
     "programs.force_closure": ("force_closure_program", "polish_program"),
     "programs.link_pose_ik": ("link_pose_ik", "link_pose_ik_program"),
     "programs.problems": ("list_problems", "load_problem"),
@@ -62,6 +81,9 @@ _MODULES = {
     "scene.tabletop": ("Scene", "make_scene", "point_cloud"),
     "simulation.lift": ("lift",),
     "simulation.protocol": ("LIFT", "LiftProtocol"),
+    "visualization.hand_browser": ("browser_page",),
+    "visualization.hand_sets": ("hands_sheet",),
+    "visualization.import_page": ("import_page",),
     "visualization.pictures": ("render_grasp",),
     "visualization.replay": ("grasp_page", "replay_lift", "view_live"),
 }
@@ -69,6 +91,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "LIFT",
+    "BatchedHand",
+    "Capsule",
     "Certificate",
     "Configuration",
     "Contact",
@@ -78,6 +102,7 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "Lift",
     "LiftProtocol",
     "ObjectModel",
+    "PaddedHands",
     "ProgramResult",
     "Residuals",
     "Scene",
@@ -85,14 +110,24 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "Tally",
     "XdexError",
     "__version__",
+    "apply_operations",
     "balance",
     "ball_margin",
+    "browser_page",
     "build_plant",
     "certify",
     "check_certificate",
+    "check_hand",
+    "export_urdf",
     "finish_grasp",
     "force_closure_program",
+    "generated_hand",
     "grasp_page",
+    "hand_from_plant",
+    "hands_sheet",
+    "human_hand",
+    "import_hand",
+    "import_page",
     "lift",
     "link_pose_ik",
     "link_pose_ik_program",
@@ -104,13 +139,18 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "load_object",
     "load_problem",
     "make_scene",
+    "mirror",
     "point_cloud",
     "polish_program",
+    "remove_finger",
     "render_grasp",
+    "replace_tip",
     "replay_lift",
     "retarget",
     "retargeting_program",
+    "sample_shape",
     "save_grasps",
+    "scale_hand",
     "solve",
     "solve_problem",
     "synthesize",
