@@ -4,7 +4,7 @@ Hand and object touch by the object's convex parts. Object and table touch by th
 the corners of its convex hull. Point contact between a convex part and a table is a single point, on which a box walks
 46 mm in 2 s. Hydroelastic contact has a force for each triangle, and a box stands on two: it walks 5 mm in 1 s wherever
 the pressure mesh of the table has no edge below it. On feet eight shapes at three poses each move under 0.3 mm and turn
-under 0.1 degrees in 1 s, and a lift costs half as much (measured, lagged, 5 ms steps).
+under 0.1 degrees in 1 s, and have a dozen contacts instead of 261 under a can (measured, lagged, 5 ms steps).
 """
 
 from collections.abc import Sequence
