@@ -415,7 +415,9 @@ def test_visual_shapes_stand_in_and_missing_ones_are_said() -> None:
     ball = Sphere(0.02 * Z, 0.01)
     swap = {"a1": FileLink("a1", (ball,), ()), "b2": FileLink("b2")}
     imported = interpret(replace(base, links=tuple(swap.get(k.name, k) for k in base.links)), name="claw")
-    assert imported.hand.links[imported.hand.link_index["a1"]].geometry[0].radius == 0.01
+    shape = imported.hand.links[imported.hand.link_index["a1"]].geometry[0]
+    assert isinstance(shape, Sphere)
+    assert shape.radius == ball.radius
     assert said(imported, "decided: link a1: has no collision shape")
     assert said(imported, "warning: link b2: ends a finger but has no shape")
 

@@ -4,7 +4,7 @@ Everything is read from the tree and its limits at the zero posture (zero clippe
 fingers are straight, or, for grippers, from how the tips come together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -166,7 +166,23 @@ def find_digits(tree: Tree, chains: list[Chain], decisions: Decisions) -> list[D
         ahead = next((c - centers[0] for c in centers[1:] if np.linalg.norm(c - centers[0]) > 2e-3), np.zeros(3))
         along = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
         digits.append(Digit(chain, tips[n], pad, closing, axis, sweep, along, centers[0], p_BTip))
-    return digits
+    return _facing(hand, digits) if len(digits) == 2 else digits
+
+
+def _facing(hand: Hand, digits: list[Digit]) -> list[Digit]:
+    """Two fingers with pads that face each other at mid range, also where the last joint turns the tips aside."""
+    R, p = (x[0] for x in link_poses(hand, hand.limits.mean(axis=0)))
+    last = [digit.chain.bodies[-1] for digit in digits]
+    tips = [p[k] + R[k] @ digit.p_LTip for k, digit in zip(last, digits, strict=True)]
+    way = tips[1] - tips[0]
+    if np.linalg.norm(way) < 1e-3:
+        return digits
+    way = way / np.linalg.norm(way)
+    out = []
+    for digit, k, u in zip(digits, last, (way, -way), strict=True):
+        u_L = R[k].T @ u
+        out.append(digit if digit.n_LPad @ u_L > PARALLEL else replace(digit, n_LPad=u_L))
+    return out
 
 
 def _closing(hand: Hand, chains: list[Chain], tips: list[Array], n: int, decisions: Decisions) -> tuple[Array, Array]:
@@ -209,10 +225,13 @@ def _closing(hand: Hand, chains: list[Chain], tips: list[Array], n: int, decisio
             text = "has as much room to bend backwards; it is taken to close towards the other fingertips."
             decisions.append(Decision("decided", f"finger at {hand.links[chain.bodies[-1]].name}", text))
     closing = sign * np.sign(weight)
-    for k in np.flatnonzero(bends & (weight == 0.0)):
+    # A slider, a gear that keeps its jaw's direction, any joint of a gripper: what brings the tips together closes.
+    for k in np.flatnonzero(bends if len(chains) == 2 else bends & (weight == 0.0)):
         alone = np.zeros(C.shape[1])
         alone[k] = 1.0
         closing[k] = _approach(hand, chains, tips, n, alone)
+    if len(chains) == 2 and (closing @ weight) != 0.0:
+        sign = float(np.sign(closing @ weight))
     axis = np.zeros(3) if last is None else (sign or 1.0) * axes[last]
     return closing, axis
 
