@@ -524,22 +524,27 @@ def test_vendor_fingers_and_tips(vendor) -> None:
         assert len(own) - len(finger.links) <= 1  # SVH's half of the palm is shared by two fingers
 
 
-def test_vendor_tips_without_tip_frames(vendor, reference) -> None:
-    # As a hand that marks no tips: the end of the shape is taken.
+def test_vendor_without_names_and_tip_frames(vendor) -> None:
+    # Names that say nothing and no marks at the tips: fingers follow from motion, tips from the ends of the shapes.
     _, facts, path = vendor
     file = read_urdf(path)
-    tips = {link.name for link in file.links if "tip" in link.name and not link.visual and not link.collision}
-    if not tips:
-        pytest.skip("its tips have a shape")
-    cut = replace(
-        file,
-        links=tuple(link for link in file.links if link.name not in tips),
-        joints=tuple(j for j in file.joints if j.child not in tips),
-    )
-    hand = interpret(cut, name="cut").hand
-    for finger in hand.fingers:
-        fact = facts["fingers"]["pinky" if finger.name == "little" else finger.name]
-        assert np.linalg.norm(finger.p_LTip - np.array(fact["tip_point_in_distal_link"])) < 0.0125
+    marks = {link.name for link in file.links if "tip" in link.name and not link.visual and not link.collision}
+    link_names = {link.name: f"l{k}" for k, link in enumerate(file.links)}
+    joint_names = {j.name: f"j{k}" for k, j in enumerate(file.joints)}
+    joints = []
+    for j in file.joints:
+        law = None if j.mimic is None else replace(j.mimic, master=joint_names[j.mimic.master])
+        ends = {"parent": link_names[j.parent], "child": link_names[j.child]}
+        if j.child not in marks:
+            joints.append(replace(j, name=joint_names[j.name], mimic=law, **ends))
+    links = tuple(replace(k, name=link_names[k.name]) for k in file.links if k.name not in marks)
+    imported = interpret(replace(file, name="robot", links=links, joints=tuple(joints)), name="anonymous")
+    names = {link_names[fact["distal_link"]]: name for name, fact in facts["fingers"].items()}
+    assert imported.hand.side == "right"
+    for finger in imported.hand.fingers:
+        name = names[finger.tip_link]
+        assert finger.name == {"pinky": "little"}.get(name, name)
+        assert np.linalg.norm(finger.p_LTip - facts["fingers"][name]["tip_point_in_distal_link"]) < 7.5e-3
 
 
 def test_vendor_couplings_and_limits(vendor) -> None:
