@@ -116,7 +116,7 @@ def test_bad_meshes_are_refused_in_one_line(capsys, tmp_path, monkeypatch, name,
     [
         ("title: [", "line 1"),
         ("- a\n- b\n", "mapping"),
-        ("title: t\nhand: allegro\nobject: {name: can}\nsead: 1\n", "'seed'"),
+        ("title: t\nhand: allegro\nobject: {name: can}\nseeed: 1\n", "'seed'"),
         ("title: t\nhand: allegro\nobject: {name: can, scael: 2}\n", "'scale'"),
         ("title: t\nhand: allegro\nobject: {name: can}\nseed: one\n", "seed is 'one'"),
         ("title: t\nhand: allegro\nobject: {name: can}\nseed: true\n", "seed is True"),
