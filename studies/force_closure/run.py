@@ -3,8 +3,8 @@
     python studies/force_closure/run.py MESH_FOLDER OUT.csv [--hand allegro] [--protocol lift-0.2/2tips] [--count 20]
 
 For each mesh, at its most probable pose, searches until COUNT grasps are certified or the processor time is used up,
-and lifts each, with no selection. One row a certified grasp, and one without numbers for each grasp that is missing. A file
-that exists is gone on with: objects that stand in it are not run again.
+and lifts each, with no selection. One row a certified grasp, and one without numbers for each grasp that is missing.
+A file that exists is gone on with: objects that stand in it are not run again.
 """
 
 import argparse
