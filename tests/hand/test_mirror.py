@@ -1,5 +1,7 @@
 """Mirror images of hands, and other fingertips."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -42,6 +44,12 @@ def test_twice_is_the_hand_itself(tmp_path) -> None:
     assert (twice.name, twice.display_name, twice.sources) == (hand.name, hand.display_name, hand.sources)
     write_hand(mirror(hand), tmp_path / "left.yaml")
     assert hand_digest(read_hand(tmp_path / "left.yaml")) == hand_digest(mirror(hand))
+
+
+def test_ignored_contacts_stay() -> None:
+    hand = load_hand("allegro")
+    pairs = ((hand.links[0].name, hand.links[-2].name),)
+    assert mirror(replace(hand, ignored_contacts=pairs)).ignored_contacts == pairs
 
 
 def test_a_tip_of_ones_own(tmp_path) -> None:

@@ -201,6 +201,19 @@ def test_merging_keeps_mass_and_geometry(hand) -> None:
             assert np.abs(p[k] + R[k] @ finger.p_LTip - tips[finger.name]).max() < 1e-12
 
 
+def test_ignored_contacts_follow_their_links() -> None:
+    allegro = load_hand("allegro")
+    finger, last = allegro.fingers[1], allegro.fingers[-1]
+    base, first, second = allegro.links[0].name, finger.links[0], finger.links[1]
+    pairs = ((base, second), (first, last.links[1]), (second, last.links[1]))
+    told = dataclasses.replace(allegro, ignored_contacts=pairs)
+    assert scale_hand(told, 1.1).ignored_contacts == pairs
+    assert remove_finger(told, last.name).ignored_contacts == pairs[:1]
+    assert remove_link(told, second).ignored_contacts == pairs[1:2]
+    # The parent takes the child's part, once for each pair.
+    assert merge_links(told, second).ignored_contacts == ((base, first), (first, last.links[1]))
+
+
 def test_a_duplicate_continues_its_link(hand) -> None:
     for finger in hand.fingers:
         name = finger.tip_link

@@ -1,6 +1,7 @@
 """Hand files: what is accepted, what is refused, and that each refusal names file, field and remedy."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import yaml
 
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand import yaml_file
+from xdex_drake.hand.collision import ignored_pairs, self_collision_pairs
 from xdex_drake.hand.description import Convex
-from xdex_drake.hand.yaml_file import hand_digest, read_hand, write_hand
+from xdex_drake.hand.library import load_hand
+from xdex_drake.hand.yaml_file import hand_digest, hand_text, read_hand, write_hand
 
 
 def small_hand() -> dict:
@@ -277,3 +280,35 @@ def test_everything_survives_a_round_trip(tmp_path) -> None:
     assert all(np.array_equal(a.R_PJ, b.R_PJ) for a, b in zip(hand.joints, again.joints, strict=True))
     assert isinstance(again.links[1].geometry[1], Convex)
     assert "inertia" in (tmp_path / "again.yaml").read_text()
+
+
+def test_ignored_contacts_survive_and_leave_other_digests_alone(tmp_path) -> None:
+    hand = load_hand("allegro")
+    assert "ignored_contacts" not in hand_text(hand)
+    pairs = tuple((hand.links[i].name, hand.links[j].name) for i, j in ((0, 3), (16, 8)))
+    told = replace(hand, ignored_contacts=pairs)
+    write_hand(told, tmp_path / "told.yaml")
+    back = read_hand(tmp_path / "told.yaml")
+    assert back.ignored_contacts == pairs
+    assert hand_digest(back) == hand_digest(told) != hand_digest(hand)
+    kept = {(int(i), int(j)) for i, j in self_collision_pairs(hand)}
+    assert kept - {(int(i), int(j)) for i, j in self_collision_pairs(back)} == {(0, 3), (8, 16)} & kept
+    assert {(0, 3), (8, 16)} <= {(int(i), int(j)) for i, j in ignored_pairs(back)}
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ("[[BASE]]", "names 1 links"),
+        ("[[BASE, BASE]]", "two different links"),
+        ("[[BASE, nowhere]]", "'nowhere', which is no link"),
+        ("[[BASE, TIP], [TIP, BASE]]", "repeats the pair"),
+        ("none", "must be a list"),
+    ],
+)
+def test_bad_ignored_contacts_are_refused(tmp_path, pairs, message) -> None:
+    hand = load_hand("allegro")
+    pairs = pairs.replace("BASE", hand.links[0].name).replace("TIP", hand.links[4].name)
+    (tmp_path / "hand.yaml").write_text(hand_text(hand) + f"ignored_contacts: {pairs}\n")
+    with pytest.raises(HandFileError, match=message):
+        read_hand(tmp_path / "hand.yaml")

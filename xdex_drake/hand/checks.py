@@ -16,7 +16,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.distance import cdist
 
-from xdex_drake.hand.collision import OVERLAP_MARGIN
+from xdex_drake.hand.collision import OVERLAP_MARGIN, ignored_indices
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import skew
 from xdex_drake.hand.plant import add_hand
@@ -286,6 +286,8 @@ class _OverlapTest:
             while above > 0 and not hand.links[above].geometry:
                 above = int(hand.parents[above])
             apart[k, above] = apart[above, k] = False
+        for i, j in ignored_indices(hand):
+            apart[i, j] = apart[j, i] = False
         links: NDArray[np.int64] = hand.sphere_links
         self._links, self._centers, self._radii = links, hand.spheres[:, :3], hand.spheres[:, 3]
         self._counted = np.triu(apart[np.ix_(links, links)])

@@ -18,7 +18,7 @@ def self_collision_pairs(hand: Hand) -> NDArray[np.int64]:
     """Pairs of links that may collide and must be kept apart.
 
     Left out are links without geometry, parent and child, a link and its grandchild through links without geometry
-    (a hub), and links that overlap at the rest posture, as nested joints do.
+    (a hub), links that overlap at the rest posture, as nested joints do, and `hand.ignored_contacts`.
 
     Args:
         hand: The hand.
@@ -26,16 +26,17 @@ def self_collision_pairs(hand: Hand) -> NDArray[np.int64]:
     Returns:
         Pairs (i, j) of indices into `hand.links`, i < j, in rising order, shape (m, 2).
     """
-    spheres_H = _spheres_at_rest(hand)
-    kin = {(_solid_parent(hand, k), k) for k in range(1, len(hand.links))}
+    spheres_H = spheres_of_links(hand, hand.q_rest)
+    left_out = {(_solid_parent(hand, k), k) for k in range(1, len(hand.links))}
+    left_out |= {(min(pair), max(pair)) for pair in ignored_indices(hand)}
     pairs = [
         (i, j)
         for i in range(len(hand.links))
         for j in range(i + 1, len(hand.links))
         if len(spheres_H[i])
         and len(spheres_H[j])
-        and (i, j) not in kin
-        and _sphere_distance(spheres_H[i], spheres_H[j]) > OVERLAP_MARGIN
+        and (i, j) not in left_out
+        and sphere_distance(spheres_H[i], spheres_H[j]) > OVERLAP_MARGIN
     ]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
@@ -55,6 +56,11 @@ def ignored_pairs(hand: Hand) -> NDArray[np.int64]:
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
+def ignored_indices(hand: Hand) -> list[tuple[int, int]]:
+    """The pairs of `hand.ignored_contacts` as indices into `hand.links`."""
+    return [(hand.link_index[a], hand.link_index[b]) for a, b in hand.ignored_contacts]
+
+
 def _solid_parent(hand: Hand, k: int) -> int:
     """Index of the nearest ancestor that has geometry; -1 where there is none."""
     k = int(hand.parents[k])
@@ -63,16 +69,32 @@ def _solid_parent(hand: Hand, k: int) -> int:
     return k
 
 
-def _spheres_at_rest(hand: Hand) -> list[Array]:
-    """Spheres of each link at the rest posture, centers in H."""
-    R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), hand.q_rest)
+def spheres_of_links(hand: Hand, q: Array) -> list[Array]:
+    """Spheres of each link at a posture.
+
+    Args:
+        hand: The hand.
+        q: Actuated joint values [rad or m], shape (n,).
+
+    Returns:
+        For each link rows (x, y, z, radius), centers in H [m], shape (n_spheres, 4).
+    """
+    R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), q)
     return [
         np.column_stack([link.spheres[:, :3] @ R_HL.T + p_HL, link.spheres[:, 3]])
         for link, R_HL, p_HL in zip(hand.links, R_HLs, p_HLs, strict=True)
     ]
 
 
-def _sphere_distance(a: Array, b: Array) -> float:
-    """Least distance between two sets of spheres, negative where they overlap [m]."""
+def sphere_distance(a: Array, b: Array) -> float:
+    """Least distance between two sets of spheres, negative where they overlap [m].
+
+    Args:
+        a: Rows (x, y, z, radius) [m], shape (n, 4), n at least 1.
+        b: Rows likewise, shape (m, 4), m at least 1.
+
+    Returns:
+        The distance [m].
+    """
     centers = np.linalg.norm(a[:, None, :3] - b[None, :, :3], axis=-1)
     return float((centers - a[:, None, 3] - b[None, :, 3]).min())

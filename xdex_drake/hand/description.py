@@ -166,6 +166,8 @@ class Hand:
         R_HB: Rotation of the base link in H, shape (3, 3).
         q_rest: Actuated joint values of a relaxed, half-open hand whose thumb opposes the fingers, shape (n,).
         sources: For each kind of fact, where it was taken from.
+        ignored_contacts: Pairs of names of links whose contact is ignored, besides neighbors and those that overlap at
+            the rest posture: parts that are nested by construction.
     """
 
     name: str
@@ -178,6 +180,7 @@ class Hand:
     R_HB: Array
     q_rest: Array
     sources: dict[str, str]
+    ignored_contacts: tuple[tuple[str, str], ...] = ()
 
     @cached_property
     def link_index(self) -> dict[str, int]:

@@ -51,6 +51,7 @@ def mirror(hand: Hand) -> Hand:
         R_HB=_flip_rotation(hand.R_HB),
         q_rest=hand.q_rest,
         sources=sources,
+        ignored_contacts=hand.ignored_contacts,
     )
 
 

@@ -445,7 +445,12 @@ def merge_links(hand: Hand, name: str) -> Hand:
         fingers.append(finger)
     merged = _merged(parent, child, R, p)
     links = [merged if link is parent else link for link in hand.links if link is not child]
-    return _assembled(hand, links, joints, fingers, rest)
+    ignored: list[tuple[str, str]] = []
+    for pair in hand.ignored_contacts:
+        a, b = (parent.name if end == name else end for end in pair)
+        if a != b and (a, b) not in ignored and (b, a) not in ignored:
+            ignored.append((a, b))
+    return _assembled(replace(hand, ignored_contacts=tuple(ignored)), links, joints, fingers, rest)
 
 
 def _merged(parent: Link, child: Link, R: Array, p: Array) -> Link:
@@ -599,6 +604,7 @@ def _assembled(
         links=(by_name[hand.links[0].name], *(by_name[joint.child] for joint in ordered)),
         joints=tuple(ordered),
         fingers=tuple(fingers),
+        ignored_contacts=tuple((a, b) for a, b in hand.ignored_contacts if a in by_name and b in by_name),
     )
     low, high = varied.limits
     q_rest = np.array([rest[name] for name in varied.joint_names])

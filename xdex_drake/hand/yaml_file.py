@@ -123,6 +123,8 @@ def hand_digest(hand: Hand) -> str:
         "fingers": [[f.name, list(f.links), f.tip_link, f.p_LTip, f.n_LPad] for f in hand.fingers],
         "rest": hand.q_rest,
     }
+    if hand.ignored_contacts:
+        body["ignored_contacts"] = [list(pair) for pair in hand.ignored_contacts]
     return hashlib.sha256(json.dumps(_canonical(body), sort_keys=True).encode()).hexdigest()
 
 
@@ -267,7 +269,10 @@ class _Field:
 
 def _parse(text: str, file: str) -> Hand:
     root = _Field(_load(text, file), file, "")
-    fields = root.table(("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"))
+    fields = root.table(
+        ("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"),
+        ("ignored_contacts",),
+    )
     side = fields["side"].text()
     if side not in ("right", "left"):
         raise fields["side"].fail(f"is {side!r}", "write right or left")
@@ -286,6 +291,7 @@ def _parse(text: str, file: str) -> Hand:
         R_HB=R_HB,
         q_rest=_rest(fields["rest"], joints),
         sources={key: value.text() for key, value in fields["sources"].mapping().items()},
+        ignored_contacts=_ignored_contacts(fields["ignored_contacts"], links) if "ignored_contacts" in fields else (),
     )
 
 
@@ -539,6 +545,24 @@ def _rest(place: _Field, joints: tuple[Joint, ...]) -> Array:
     return np.array([fields[joint.name].number() for joint in actuated])
 
 
+def _ignored_contacts(place: _Field, links: tuple[Link, ...]) -> tuple[tuple[str, str], ...]:
+    names = {link.name for link in links}
+    pairs: list[tuple[str, str]] = []
+    for item in place.items():
+        pair = [end.text() for end in item.items()]
+        if len(pair) != 2 or pair[0] == pair[1]:
+            raise item.fail(f"names {len(set(pair))} links", "give two different links, as [palm, thumb_base]")
+        for name in pair:
+            if name not in names:
+                close = difflib.get_close_matches(name, sorted(names), n=1)
+                mend = f"did you mean {close[0]!r}?" if close else "name links of this file"
+                raise item.fail(f"names {name!r}, which is no link", mend)
+        if (pair[0], pair[1]) in pairs or (pair[1], pair[0]) in pairs:
+            raise item.fail(f"repeats the pair {pair[0]!r} and {pair[1]!r}", "leave it out")
+        pairs.append((pair[0], pair[1]))
+    return tuple(pairs)
+
+
 # ---- writing
 
 
@@ -581,6 +605,11 @@ def _lines(hand: Hand) -> Iterator[str]:
     yield "rest:" if hand.joint_names else "rest: {}"
     for name, value in zip(hand.joint_names, hand.q_rest, strict=True):
         yield f"  {_text(name)}: {_number(value)}"
+    if hand.ignored_contacts:
+        yield ""
+        yield "ignored_contacts:"
+        for first, second in hand.ignored_contacts:
+            yield f"  - [{_text(first)}, {_text(second)}]"
     yield ""
     yield "sources:" if hand.sources else "sources: {}"
     for key, value in hand.sources.items():
