@@ -357,10 +357,11 @@ def _thumb(digits: list[Digit], said: list[str | None], decisions: Decisions) ->
     costs = [_unlikeness([d for k, d in enumerate(digits) if k != t]) for t in range(len(digits))]
     by_motion = int(np.argmin(costs))
     if by_name is None:
-        if np.sort(costs)[1] < costs[by_motion] + 0.02:
-            text = "no finger differs from the others; the thumb is the one that comes first in the file."
+        alike = [k for k, cost in enumerate(costs) if cost < costs[by_motion] + 0.02]
+        if len(alike) > 1:
+            text = "no finger alone differs from the others; the thumb is the one that comes first in the file."
             decisions.append(Decision("decided", "hand", text))
-        return by_motion
+        return alike[0]
     if by_name != by_motion and costs[by_name] > costs[by_motion] + 0.1:
         text = "another finger looks more like a thumb than the one that the file names so; the name was followed."
         decisions.append(Decision("warning", "finger thumb", text))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from xdex_drake.errors import HandFileError
+from xdex_drake.hand.collision import OVERLAP_MARGIN, sphere_distance, spheres_of_links
 from xdex_drake.hand.description import Array, Finger, Geometry, Hand, Link
 from xdex_drake.hand.importing.anatomy import Anatomy, find_digits, name_fingers, zero_posture
 from xdex_drake.hand.importing.bodies import Member, Tree
@@ -30,6 +31,10 @@ MOST_TURN_OF_DEGREES = np.pi / 20.0
 
 SHORTEST = 0.02
 """No hand reaches less far [m]."""
+
+
+NESTED_TRIALS = 24
+"""Number of postures, besides zero, that tell nested parts from ones that touch now and then."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +101,10 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
         p_HB=p_HB,
         R_HB=anatomy.R_HB,
     )
+    hand = replace(hand, ignored_contacts=_ignored_contacts(hand, model, tree, anatomy, decisions))
     hand = replace(hand, q_rest=rest_posture(hand, anatomy, decisions), sources=_sources(model, decisions))
     _say_undriven(tree, decisions)
     _say_narrow(hand, decisions)
-    _say_ignored(model, tree, decisions)
     frames = {
         member.link.name: FileFrame(link.name, member.X_LF)
         for link, body in zip(hand.links, tree.members, strict=True)
@@ -239,13 +244,50 @@ def _say_narrow(hand: Hand, decisions: Decisions) -> None:
         decisions.append(Decision("warning", "hand", text))
 
 
-def _say_ignored(model: FileModel, tree: Tree, decisions: Decisions) -> None:
-    if model.ignored_pairs:
-        text = (
-            f"the file rules out contact between {len(model.ignored_pairs)} pairs of links; here those that touch at "
-        )
-        text += "the rest posture and neighbors are ruled out."
+def _ignored_contacts(
+    hand: Hand, model: FileModel, tree: Tree, anatomy: Anatomy, decisions: Decisions
+) -> tuple[tuple[str, str], ...]:
+    """Pairs that the file rules out, and links near a finger's root that are nested in the palm."""
+    body_of = {member.link.name: k for k, body in enumerate(tree.members) for member in body}
+    pairs: dict[tuple[int, int], None] = {}
+    for first, second in model.ignored_pairs:
+        i, j = sorted((body_of.get(first, -1), body_of.get(second, -1)))
+        solid = i >= 0 and bool(hand.links[i].geometry) and bool(hand.links[j].geometry)
+        if solid and i != j and hand.parents[j] != i:
+            pairs[i, j] = None
+    if pairs:
+        text = f"the file rules out contact between {_pair_names(hand, list(pairs))}; it is ignored."
         decisions.append(Decision("decided", "hand", text))
+    nested = [pair for pair in _nested_in_palm(hand, anatomy) if pair not in pairs]
+    if nested:
+        text = f"{_pair_names(hand, nested)} overlap at the zero posture and mostly elsewhere, as nested parts do; "
+        decisions.append(Decision("decided", "hand", text + "their contact is ignored."))
+    return tuple((hand.links[i].name, hand.links[j].name) for i, j in [*pairs, *nested])
+
+
+def _nested_in_palm(hand: Hand, anatomy: Anatomy) -> list[tuple[int, int]]:
+    """Second links of fingers that overlap the palm at the zero posture and in at least half of all others.
+
+    A finger's first link is the palm's neighbor; contact of the palm with links beyond the second is one of the
+    posture's.
+    """
+    rng = np.random.default_rng(0)
+    lower, upper = hand.limits
+    qs = [zero_posture(hand), *rng.uniform(lower, upper, (NESTED_TRIALS, len(lower)))]
+    postures = [spheres_of_links(hand, q) for q in qs]
+    nested: dict[tuple[int, int], None] = {}
+    for digit in anatomy.digits:
+        for k in [k for k in digit.chain.path if len(hand.links[k].spheres)][1:2]:
+            if not len(hand.links[0].spheres):
+                continue
+            overlaps = [sphere_distance(spheres_H[0], spheres_H[k]) <= OVERLAP_MARGIN for spheres_H in postures]
+            if overlaps[0] and 2 * sum(overlaps) >= len(overlaps):
+                nested[0, k] = None
+    return list(nested)
+
+
+def _pair_names(hand: Hand, pairs: list[tuple[int, int]]) -> str:
+    return join([f"{hand.links[i].name} and {hand.links[j].name}" for i, j in pairs])
 
 
 def _display_name(model: FileModel, name: str) -> str:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.hand.collision import ignored_indices
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.importing.anatomy import Anatomy
 from xdex_drake.hand.importing.bodies import link_poses
@@ -182,10 +183,11 @@ def _free_pairs(hand: Hand) -> list[Pair]:
     solid = [k for k, link in enumerate(hand.links) if len(link.spheres)]
     parent = {k: _solid_parent(hand, k) for k in solid}
     placed = _placed(hand, qs)
+    ignored = set(ignored_indices(hand))
     pairs = []
     for n, i in enumerate(solid):
         for j in solid[n + 1 :]:
-            if parent[i] != j and parent[j] != i:
+            if parent[i] != j and parent[j] != i and (i, j) not in ignored and (j, i) not in ignored:
                 reached = float(_gap(hand, placed, i, j, cut=CLEARANCE).max())
                 pairs.append((i, j, min(CLEARANCE, reached)))
     return pairs
