@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -80,6 +82,7 @@ class GraspCommand:
         begin = time.perf_counter()
         from xdex_drake.dataset.files import save_grasps
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.programs.obstacles import find_obstacles, sizes
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
 
@@ -87,6 +90,10 @@ class GraspCommand:
         model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
         model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
         scene = make_scene(model, seed=self.scene_seed)
+        obstacles = find_obstacles(hand, scene)
+        if obstacles:
+            print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
+            return 1
         preparation = time.perf_counter() - begin
         request = GraspRequest(self.hand, self.object, self.scale, self.mass, self.friction, self.scene_seed, self.seed)
         tally = RequestTally()
@@ -107,6 +114,9 @@ class GraspCommand:
                         lifted += 1
                         bar.update()
                 bar.set_postfix(tried=tally.tried, certified=tally.certified)
+                if tally.batches == 1 and not tally.certified:
+                    told = f"none of the first {tally.tried} candidates is a grasp; {_why(tally.rejected)}"
+                    bar.write(f"{told}; going on for up to {self.time_limit:g} s", file=sys.stderr)
         if kept:
             save_grasps(self.out, kept, hand, scene, hand_path=self.hand if Path(self.hand).suffix else None)
         rate = f"{100.0 * tally.lifted / tally.certified:.0f} %" if tally.certified else "-"
@@ -128,12 +138,22 @@ class GraspCommand:
                 ]
             )
         )
+        if tally.tried and not tally.certified:
+            print(f"no grasp: {_why(tally.rejected)}\n{sizes(hand, scene)}")
         if kept and self.html is not None:
             from xdex_drake.cli.show import write_replays
 
             write_replays(self.html, kept[:3], hand, scene)
             print(f"replays: {self.html}")
         return interruption.status(0 if lifted else 1)
+
+
+def _why(rejected: Mapping[str, int]) -> str:
+    """What candidates were rejected for most often, in words."""
+    from xdex_drake.programs.obstacles import in_words
+
+    most = max(rejected, key=lambda reason: rejected[reason], default="")
+    return f"most often, {in_words(most)}" if most else "nothing was tried"
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from xdex_drake.cli.output import check_output_file, counts, facts, one_thread, table
+
+if TYPE_CHECKING:
+    from xdex_drake.programs.wrench_problems import WrenchProblem
 
 
 @dataclass(frozen=True)
@@ -42,18 +45,22 @@ class Solve:
             check_output_file(self.html, ".html")
         from xdex_drake.data_files import data_folder
         from xdex_drake.errors import ConfigError
-        from xdex_drake.programs.problems import list_problems, load_problem
+        from xdex_drake.programs.obstacles import in_words, sizes
+        from xdex_drake.programs.problems import list_problems, load_any_problem
         from xdex_drake.programs.solve import SOLVERS
+        from xdex_drake.programs.wrench_problems import WrenchProblem as ContactsAlone
 
         if not self.problem:
-            print(table([(name, load_problem(name).title) for name in list_problems()], ("problem", "title")))
+            print(table([(name, load_any_problem(name).title) for name in list_problems()], ("problem", "title")))
             print(f"\nfiles: {data_folder('problems')}")
             return 0
-        problem = load_problem(self.problem)
+        problem = load_any_problem(self.problem)
         if self.seed is not None and self.seed < 0:
             raise ConfigError(f"--seed is {self.seed}; give 0 or more")
         if self.solver is not None and self.solver not in SOLVERS:
             raise ConfigError(f"--solver {self.solver!r} is not known; choose one of {', '.join(SOLVERS)}")
+        if isinstance(problem, ContactsAlone):
+            return self._wrench(problem)
         changed = replace(problem, seed=problem.seed if self.seed is None else self.seed, solver=_solver(self, problem))
         object.__setattr__(changed, "path", problem.path)
         from xdex_drake.dataset.problem_runs import solve_problem
@@ -64,12 +71,14 @@ class Solve:
             f"{problem.title}\n\nbefore\n{solution.program.table()}\n\nafter\n{solution.program.table(result.point)}\n"
         )
         lines: list[tuple[str, object]] = [
-            ("status", result.status if result.success else f"{result.status}: {result.worst} is violated most"),
+            ("status", result.status if result.success else f"{result.status} by {in_words(result.worst)}"),
             ("solver", f"{result.solver}, {1e3 * result.seconds:.0f} ms, {_iterations(result.iterations)}"),
             ("starts tried", f"{solution.tried}; failed by {counts(solution.violated)}"),
         ]
         if grasp is None:
             lines.append(("grasp", f"none: {solution.reason}"))
+            if not solution.obstacles:
+                lines.append(("sizes", sizes(solution.hand, solution.scene)))
         else:
             assert grasp.certificate is not None and grasp.lift is not None
             proof, lift = grasp.certificate, grasp.lift
@@ -79,7 +88,7 @@ class Solve:
                 ("penetration [mm]", 1e3 * grasp.penetration_parts_m),
                 ("lift", f"{lift.lift_height_m:.3f} m" if lift.success else lift.failure_reason),
             ]
-        lines.append(("reaches its goals", "yes" if not solution.missed else "no: " + "; ".join(solution.missed)))
+        lines.append(_goals(solution.missed))
         if grasp is not None and self.out is not None:
             from xdex_drake.dataset.files import save_grasps
 
@@ -92,6 +101,31 @@ class Solve:
             write_replays(self.html, [grasp], solution.hand, solution.scene)
             print(f"replay: {self.html}")
         return 0 if grasp is not None else 1
+
+    def _wrench(self, problem: WrenchProblem) -> int:
+        """Solves a problem of contacts alone, and prints."""
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.programs.wrench_problems import solve_wrench_problem
+
+        for name in ("seed", "solver", "out", "html"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"--{name} does not matter to a wrench problem; leave it out")
+        result = solve_wrench_problem(problem)
+        print(f"{problem.title}\n")
+        lines: list[tuple[str, object]] = [
+            ("program", f"{problem.solve}, {len(problem.contacts)} contacts"),
+            ("status", result.status if not result.reason else f"{result.status}: {result.reason}"),
+            ("value", result.value),
+            *((f"force {k + 1} [N]", "  ".join(f"{x:.4f}" for x in f)) for k, f in enumerate(result.forces)),
+            ("seconds", result.seconds),
+            _goals(problem.missed(result)),
+        ]
+        print(facts(lines))
+        return 0 if result.status == "solved" else 1
+
+
+def _goals(missed: tuple[str, ...]) -> tuple[str, object]:
+    return ("reaches its goals", "yes" if not missed else "no: " + "; ".join(missed))
 
 
 def _solver(command: Solve, problem: object) -> Literal["sequential", "snopt", "ipopt", "nlopt"]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.programs.link_pose_ik import link_pose_ik_program
+from xdex_drake.programs.obstacles import Obstacle, find_obstacles, in_words
 from xdex_drake.programs.problems import Problem, force_closure_programs, load_problem, problem_scene
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import retargeting_program
@@ -36,6 +39,7 @@ class Solution:
         reason: Why there is no grasp; empty where there is one.
         tried: Number of starts that were tried.
         violated: How often each constraint was the worst one, over the starts that failed.
+        obstacles: What keeps the hand from the object whatever the start.
         missed: What the problem says a good solution reaches and this one does not.
     """
 
@@ -48,11 +52,14 @@ class Solution:
     reason: str
     tried: int
     violated: dict[str, int]
+    obstacles: tuple[Obstacle, ...]
     missed: tuple[str, ...]
 
 
 def solve_problem(problem: Problem | str | Path) -> Solution:
     """Solves a problem: its starts in turn, best first, until one is solved and certified.
+
+    Where an obstacle is proven before, only the first start is tried, to show what it leaves violated.
 
     Args:
         problem: The problem, its name, or the path of its file.
@@ -65,10 +72,12 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
     """
     problem = problem if isinstance(problem, Problem) else load_problem(problem)
     hand, scene = problem_scene(problem)
-    if problem.program == "force_closure":
-        programs = force_closure_programs(problem, hand, scene)
-    else:
-        programs = iter([_program_from_source(problem, hand, scene)])
+    obstacles = find_obstacles(
+        hand, scene, contacts=problem.contacts, grasp_type=problem.grasp_type, settings=problem.polish
+    )
+    programs = problem_programs(problem, hand, scene)
+    if obstacles:
+        programs = itertools.islice(programs, 1)
     attempts: list[tuple[GraspProgram, ProgramResult]] = []
     grasp, reason = None, ""
     for program in programs:
@@ -83,9 +92,33 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
             break
     program, result = attempts[-1] if grasp is not None else min(attempts, key=lambda attempt: _badness(attempt[1]))
     violated = most_violated([result for _, result in attempts])
-    missed = problem.reaches.missed(result, grasp)
-    why = "" if grasp is not None else reason or f"constraint {result.worst}"
-    return Solution(problem, hand, scene, program, result, grasp, why, len(attempts), violated, missed)
+    missed = problem.reaches.missed(result, grasp, obstacles)
+    why = "" if grasp is not None else _reason(obstacles, reason or result.worst)
+    return Solution(problem, hand, scene, program, result, grasp, why, len(attempts), violated, obstacles, missed)
+
+
+def _reason(obstacles: tuple[Obstacle, ...], rejected: str) -> str:
+    """Why there is no grasp: what is proven, else what the best start was rejected for."""
+    return obstacles[0].message if obstacles else in_words(rejected)
+
+
+def problem_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterator[GraspProgram]:
+    """The programs of a problem: one for each start of its search, best first, or the one from its source.
+
+    Args:
+        problem: The problem.
+        hand: Its hand.
+        scene: Its scene.
+
+    Returns:
+        The programs.
+
+    Raises:
+        XdexError: Its source problem has no solution.
+    """
+    if problem.program == "force_closure":
+        return force_closure_programs(problem, hand, scene)
+    return iter([_program_from_source(problem, hand, scene)])
 
 
 def _badness(result: ProgramResult) -> float:

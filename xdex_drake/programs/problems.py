@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import yaml
+
 from xdex_drake.data_files import data_folder
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
@@ -18,9 +20,11 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import load_hand
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
 from xdex_drake.programs.grasp_types import GraspType
+from xdex_drake.programs.obstacles import Obstacle
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import EnergyWeights, SearchSettings, search
 from xdex_drake.programs.solve import ProgramResult
+from xdex_drake.programs.wrench_problems import WrenchProblem
 from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
 from xdex_drake.typed_yaml import read_typed_yaml
@@ -50,6 +54,7 @@ class Reaches:
     Attributes:
         status: "solved", or "infeasible" for a problem that has no solution.
         worst: Constraints of which one is left violated, where the problem has no solution; any where empty.
+        obstacle: What keeps the hand from the object, by name: opening, table or friction; any or none where empty.
         costs: Greatest value of costs, by name.
         certified: Whether the solution is certified and fit to be lifted.
         task_margin: Least task margin of its certificate.
@@ -59,18 +64,22 @@ class Reaches:
 
     status: Literal["solved", "infeasible"] = "solved"
     worst: tuple[str, ...] = ()
+    obstacle: str = ""
     costs: dict[str, float] = field(default_factory=dict)
     certified: bool = False
     task_margin: float | None = None
     ball_margin: float | None = None
     lifted: bool = False
 
-    def missed(self, result: ProgramResult, grasp: Grasp | None) -> tuple[str, ...]:
+    def missed(
+        self, result: ProgramResult, grasp: Grasp | None, obstacles: tuple[Obstacle, ...] = ()
+    ) -> tuple[str, ...]:
         """What a solution does not reach.
 
         Args:
             result: Result of the program.
             grasp: The finished grasp, None where there is none.
+            obstacles: What keeps the hand from the object.
 
         Returns:
             One sentence for each miss; none where all is reached.
@@ -80,6 +89,9 @@ class Reaches:
             misses.append(f"status is {result.status}, not {self.status}")
         if self.worst and result.worst not in self.worst:
             misses.append(f"the worst constraint is {result.worst or 'none'}, not {' or '.join(self.worst)}")
+        found = [obstacle.name for obstacle in obstacles]
+        if self.obstacle and self.obstacle not in found:
+            misses.append(f"the obstacle is {', '.join(found) or 'none'}, not {self.obstacle}")
         for name, most in self.costs.items():
             value = result.costs.get(name, float("nan"))
             if not value <= most:
@@ -180,7 +192,25 @@ def list_problems() -> tuple[str, ...]:
 
 
 def load_problem(name_or_path: str | Path) -> Problem:
-    """Loads a problem.
+    """Loads a problem of a hand and an object; for those of contacts alone see `load_any_problem`.
+
+    Args:
+        name_or_path: Name of a problem of the library (`list_problems`), or a path to a `.yaml` file.
+
+    Returns:
+        The problem.
+
+    Raises:
+        ProblemFileError: There is no such problem, its file cannot be used, or it is a wrench problem.
+    """
+    problem = load_any_problem(name_or_path)
+    if isinstance(problem, WrenchProblem):
+        raise ProblemFileError(f"{problem.path}: program is wrench; give a problem that has a hand and an object")
+    return problem
+
+
+def load_any_problem(name_or_path: str | Path) -> Problem | WrenchProblem:
+    """Loads a problem of any kind.
 
     Args:
         name_or_path: Name of a problem of the library (`list_problems`), or a path to a `.yaml` file.
@@ -199,9 +229,19 @@ def load_problem(name_or_path: str | Path) -> Problem:
             mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names)}"
             raise ProblemFileError(f"there is no problem {path.name!r}; {mend} (a path to a .yaml file also works)")
         path = data_folder("problems") / f"{path.name}.yaml"
-    problem = read_typed_yaml(path, Problem, error=ProblemFileError)
+    kind = WrenchProblem if _program(path) == "wrench" else Problem
+    problem = read_typed_yaml(path, kind, error=ProblemFileError)
     object.__setattr__(problem, "path", path)
     return problem
+
+
+def _program(path: Path) -> object:
+    """What a file says its program is; a file that cannot be read says nothing, and its error is told later."""
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    return values.get("program") if isinstance(values, dict) else None
 
 
 def problem_scene(problem: Problem) -> tuple[Hand, Scene]:

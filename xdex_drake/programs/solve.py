@@ -54,23 +54,25 @@ class ProgramResult:
         return "\n".join(lines)
 
 
-def _drake_solver(name: str) -> tuple[SolverInterface, SolverOptions]:
+def _drake_solver(name: str, time_limit_s: float) -> tuple[SolverInterface, SolverOptions]:
     options = SolverOptions()
     if name == "snopt":
         solver = SnoptSolver()
         options.SetOption(solver.solver_id(), "Major iterations limit", 200)
         options.SetOption(solver.solver_id(), "Major feasibility tolerance", 1e-4)
         options.SetOption(solver.solver_id(), "Major optimality tolerance", 1e-3)
+        options.SetOption(solver.solver_id(), "Time limit", time_limit_s)
         return solver, options
     if name == "ipopt":
         solver = IpoptSolver()
         options.SetOption(solver.solver_id(), "max_iter", 100)
         options.SetOption(solver.solver_id(), "tol", 1e-3)
-        options.SetOption(solver.solver_id(), "max_cpu_time", 10.0)
+        options.SetOption(solver.solver_id(), "max_cpu_time", time_limit_s)
         return solver, options
     solver = NloptSolver()
     options.SetOption(solver.solver_id(), "algorithm", "LD_SLSQP")
     options.SetOption(solver.solver_id(), "max_eval", 200)
+    options.SetOption(solver.solver_id(), NloptSolver.MaxTimeName(), time_limit_s)
     return solver, options
 
 
@@ -91,7 +93,12 @@ def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
 
 
 def solve(
-    program: GraspProgram, *, solver: str = "sequential", iterations: int = 20, improvement: float = 1e-3
+    program: GraspProgram,
+    *,
+    solver: str = "sequential",
+    iterations: int = 20,
+    improvement: float = 1e-3,
+    time_limit_s: float = 10.0,
 ) -> ProgramResult:
     """Solves a grasp program from its initial guess.
 
@@ -100,6 +107,7 @@ def solve(
         solver: "sequential" (ours, the default), or Drake's "snopt", "ipopt" or "nlopt".
         iterations: Greatest number of subproblems of the sequential solver.
         improvement: Where the sequential solver stops at a feasible point; see `solve_sequential`.
+        time_limit_s: Time after which Drake's solvers are stopped [s]; iterations bound the sequential one.
 
     Returns:
         The result; a failed solve is a result with the constraint that failed, not an exception.
@@ -113,7 +121,7 @@ def solve(
     if solver == "sequential":
         point, count = solve_sequential(program, iterations=iterations, improvement=improvement)
     else:
-        drake_solver, options = _drake_solver(solver)
+        drake_solver, options = _drake_solver(solver, time_limit_s)
         result = drake_solver.Solve(program.prog, program.prog.initial_guess(), options)
         point, count = program.point(result.GetSolution(program.variables)), -1
     seconds = time.perf_counter() - start
