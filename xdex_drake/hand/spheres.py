@@ -5,9 +5,11 @@ box or a convex hull is covered from inside by a greedy choice: each sphere bulg
 the one that covers most of the surface left comes first.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
@@ -31,12 +33,20 @@ CANDIDATES = 700
 MAX_PER_SOLID = 36
 """Greatest number of spheres of one box or hull."""
 
+MAX_TOGETHER = 80
+"""Greatest number of spheres of all boxes and hulls of a link that is covered as a whole."""
+
+LEFT_TOGETHER = 0.015
+"""Share of the surface points of such a link that may stay uncovered: corners and edges, of which there are many."""
+
 
 def fit_spheres(geometry: tuple[Geometry, ...]) -> Array:
     """Spheres that approximate a link's geometry.
 
     Spheres of a capsule have its radius, lie on its axis and include both ends. Spheres of a box or hull bulge by at
-    most `BULGE`; together they come within `REACH` of nearly all of its surface. The result depends on the input alone.
+    most `BULGE`; together they come within `REACH` of nearly all of its surface. A link of three shapes or more, among
+    them two boxes or hulls, is covered as a whole: a sphere may span several shapes. The result depends on the input
+    alone.
 
     Args:
         geometry: Primitives in L.
@@ -44,6 +54,9 @@ def fit_spheres(geometry: tuple[Geometry, ...]) -> Array:
     Returns:
         Rows (x, y, z, radius) in L [m], shape (n, 4); shape (0, 4) for a link without geometry.
     """
+    solids = sum(isinstance(shape, Box | Convex) for shape in geometry)
+    if len(geometry) >= 3 and solids >= 2:
+        return _spheres_of_known_parts(_Key(-1, geometry)).copy()
     rows = [_spheres_of(k, geometry) for k in range(len(geometry))]
     return np.concatenate(rows) if rows else np.zeros((0, 4))
 
@@ -59,7 +72,7 @@ def _spheres_of(k: int, geometry: tuple[Geometry, ...]) -> Array:
 
 
 class _Key:
-    """A primitive among others, by value."""
+    """A primitive among others, or all of them (k = -1), by value."""
 
     def __init__(self, k: int, geometry: tuple[Geometry, ...]) -> None:
         self.k, self.geometry = k, geometry
@@ -96,11 +109,8 @@ def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Arra
     low, high = corners.min(axis=0), corners.max(axis=0)
     # A grid of candidate centers, about `CANDIDATES` in number, and points on the surface at the same spacing.
     step = float(np.prod(high - low) / CANDIDATES) ** (1 / 3)
-    axes = [np.linspace(a, b, max(3, round((b - a) / step) + 1)) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    depth = (offsets - grid @ normals.T).min(axis=1)
-    inside = depth > 0.0
-    centers, radii = grid[inside], depth[inside] + BULGE
+    centers, depth = _grid_inside(normals, offsets, corners, step)
+    radii = depth + BULGE
     points = _surface_points(corners, normals, offsets, spacing=step)
     for other in others:
         points = points[signed_distance(other, points) > 0.0]
@@ -127,6 +137,104 @@ def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Arra
         gain -= worth[:, newly].sum(axis=1)
         left &= ~newly
     return np.column_stack([centers[chosen], radii[chosen]])
+
+
+@lru_cache(maxsize=64)
+def _spheres_of_known_parts(key: _Key) -> Array:
+    return _spheres_of_parts(key.geometry)
+
+
+def _spheres_of_parts(geometry: tuple[Geometry, ...]) -> Array:
+    """Greedy cover of the union's surface by spheres that may reach from one solid into the next."""
+    swept = [_spheres_of(k, geometry) for k, shape in enumerate(geometry) if isinstance(shape, Sphere | Capsule)]
+    rows = np.concatenate([np.zeros((0, 4)), *swept])
+    solids = [half_spaces(shape) for shape in geometry if isinstance(shape, Box | Convex)]
+    others = [shape for shape in geometry if not isinstance(shape, Box | Convex)]
+    volumes = np.array([float(np.prod(np.ptp(corners, axis=0))) for _, _, corners in solids])
+    step = float(volumes.sum() / CANDIDATES) ** (1 / 3)
+
+    def outside(points: Array, but: int = -1) -> Array:
+        """How far points lie outside of all solids (but one) and other shapes [m]."""
+        distances = [(points @ n.T - d).max(axis=1) for k, (n, d, _) in enumerate(solids) if k != but]
+        distances += [signed_distance(other, points) for other in others]
+        return np.min(distances, axis=0)
+
+    centers, radii, points = [], [], []
+    for k, (normals, offsets, corners) in enumerate(solids):
+        inside, depth = _grid_inside(normals, offsets, corners, step)
+        centers.append(inside)
+        radii.append(depth)
+        surface = _surface_points(corners, normals, offsets, spacing=0.8 * step)
+        points.append(surface[outside(surface, but=k) > 0.0])
+    center, radius, point = np.concatenate(centers), np.concatenate(radii), np.concatenate(points)
+    if len(rows) and len(point):
+        point = point[(cdist(point, rows[:, :3]) - rows[:, 3]).min(axis=1) > REACH]
+    if len(point) == 0 or len(center) == 0:
+        return rows if len(rows) else np.array([[*solids[0][2].mean(axis=0), 1e-3]])
+    safe, radius = radius + BULGE, _grown(center, radius + BULGE, outside, _directions(200))
+    gaps = cdist(center, point)
+    covers = gaps <= radius[:, None] + REACH
+    while True:
+        chosen = _greedy(covers, LEFT_TOGETHER, MAX_TOGETHER)
+        # Seen more closely, a few stand out too far after all.
+        fine = _directions(2000)
+        bad = [k for k in chosen if radius[k] > safe[k] and outside(center[k] + radius[k] * fine).max() > BULGE + 5e-5]
+        if not bad:
+            break
+        radius[bad] = safe[bad]
+        covers[bad] = gaps[bad] <= safe[bad, None] + REACH
+    # What later choices cover too is not needed.
+    for k in list(chosen):
+        rest = [c for c in chosen if c != k]
+        if not (covers[k] & ~covers[rest].any(axis=0)).any():
+            chosen = rest
+    found = np.column_stack([center[chosen], radius[chosen]])
+    # A swept sphere within one of these adds nothing.
+    apart = np.linalg.norm(rows[:, None, :3] - found[None, :, :3], axis=2) + rows[:, 3, None] - found[None, :, 3]
+    return np.concatenate([rows[(apart > 0.0).all(axis=1)], found])
+
+
+def _greedy(covers: NDArray[np.bool_], left_over: float, most: int) -> list[int]:
+    """Rows that cover most columns, the best first; ties go to the first row."""
+    left = np.ones(covers.shape[1], dtype=bool)
+    gain = covers.sum(axis=1)
+    chosen: list[int] = []
+    while left.sum() > left_over * len(left) and len(chosen) < most:
+        best = int(np.argmax(gain))
+        if gain[best] <= 0:
+            break
+        chosen.append(best)
+        newly = left & covers[best]
+        gain = gain - covers[:, newly].sum(axis=1)
+        left &= ~newly
+    return chosen
+
+
+def _grown(centers: Array, radii: Array, outside: Callable[[Array], Array], directions: Array) -> Array:
+    """Radii, enlarged as long as the spheres stand out of the union by at most `BULGE` in these directions."""
+    for factor in (1.6, 1.3, 1.15, 1.07):
+        trial = np.minimum(radii * factor, radii + 0.02)
+        points = centers[:, None] + trial[:, None, None] * directions
+        bulge = outside(points.reshape(-1, 3)).reshape(len(centers), -1).max(axis=1)
+        radii = np.where(bulge <= BULGE, trial, radii)
+    return radii
+
+
+def _directions(count: int) -> Array:
+    """Unit vectors spread evenly over the sphere, shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - z**2)
+    return np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
+
+
+def _grid_inside(normals: Array, offsets: Array, corners: Array, step: float) -> tuple[Array, Array]:
+    """Points of a grid inside of a solid, shape (n, 3), and their depths [m], shape (n,)."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    axes = [np.linspace(a, b, max(3, round((b - a) / step) + 1)) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    depth = (offsets - grid @ normals.T).min(axis=1)
+    return grid[depth > 0.0], depth[depth > 0.0]
 
 
 def half_spaces(solid: Box | Convex) -> tuple[Array, Array, Array]:
