@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 
 import xdex_drake as xd
 from xdex_drake.contact import contact_geometry, epsilon_linearized
-from xdex_drake.dataset.synthesis import SynthesisSettings, certified_grasps
+from xdex_drake.dataset.synthesis import GIVEN, SynthesisSettings, certified_grasps
 from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, with_physics
 
@@ -35,9 +35,7 @@ def rows_of(hand_name: str, object_name: str, count: int) -> list[dict]:
     hard_scene = with_physics(scene, mass=MASS * model.mass, friction=FRICTION * model.friction)
     hard = replace(LIFT, plant=replace(LIFT.plant, friction=FRICTION * LIFT.plant.friction))
     rows = []
-    found = certified_grasps(
-        hand, scene, seed=0, time_limit_s=120.0, settings=replace(SynthesisSettings(), task_margin=0.0)
-    )
+    found = certified_grasps(hand, scene, seed=0, time_limit_s=120.0, settings=SynthesisSettings(demands=GIVEN))
     for grasp in itertools.islice(found, count):
         proof = grasp.certificate
         points, normals = np.array([c.p_OC for c in proof.contacts]), np.array([c.n_OC for c in proof.contacts])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from xdex_drake.dataset.synthesis import Outcome, SynthesisSettings, polish
+from xdex_drake.dataset.synthesis import Outcome, polish
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
+from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
@@ -18,7 +19,7 @@ def retarget(
     target: Hand,
     scene: Scene,
     *,
-    settings: SynthesisSettings | None = None,
+    settings: PolishSettings | None = None,
     protocol: LiftProtocol = LIFT,
 ) -> Outcome:
     """Retargets one grasp by Eq. (2) under the constraints of force closure.
@@ -28,20 +29,19 @@ def retarget(
         source_hand: Its hand.
         target: The target hand.
         scene: Their scene.
-        settings: Settings; the defaults where None.
+        settings: Numbers of the hard constraints; the defaults where None.
         protocol: The protocol whose gains the squeeze is for.
 
     Returns:
         The target's grasp, not lifted yet, or the reason why there is none.
     """
-    settings = settings or SynthesisSettings()
-    program = retargeting_program(grasp, source_hand, target, scene, settings=settings.polish)
-    outcome = polish(program, settings, protocol=protocol)
+    program = retargeting_program(grasp, source_hand, target, scene, settings=settings)
+    outcome = polish(program, protocol=protocol)
     if outcome.grasp is None:
         # Hands that differ much start deep in the object, from where local convex steps do not get out.
         start = refined_start(grasp, source_hand, target, scene)
-        program = retargeting_program(grasp, source_hand, target, scene, start=start, settings=settings.polish)
-        outcome = polish(program, settings, protocol=protocol)
+        program = retargeting_program(grasp, source_hand, target, scene, start=start, settings=settings)
+        outcome = polish(program, protocol=protocol)
     if outcome.grasp is None:
         return outcome
     named = replace(

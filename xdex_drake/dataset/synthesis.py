@@ -29,11 +29,34 @@ from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 _log = logging.getLogger(__name__)
 
-SQUEEZES = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
-"""Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try in turn."""
-
 SURFACE_POINTS = 4096
 """Points of the object's surface at which penetration is measured."""
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What a certified grasp must meet.
+
+    Attributes:
+        squeezes: Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try
+            in turn.
+        task_margin: Least task margin of three or more contacts. (Pinches have little or none.)
+        penetration_m: Deepest penetration, against the parts [m].
+    """
+
+    squeezes: tuple[tuple[float, float], ...] = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
+    task_margin: float = 0.0
+    penetration_m: float = 1e-3
+
+
+GIVEN = Demands()
+"""For other hands' grasps and predictions: better a weak grasp than none."""
+
+SEARCHED = Demands(squeezes=((0.55, 1.5),), task_margin=1.01)
+"""For grasps that a search finds, since it finds more. Measured on Allegro: of grasps whose forces need at most 0.55 of
+the friction 84 % lift, on meshes where half lift of those that need up to 0.7, and 29 % of the others
+(`studies/force_closure`); 87 % lift of those with a task margin above 1, and 63 % of those below, which do not even
+resist a push of their own weight (`studies/margins`)."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +69,15 @@ class SynthesisSettings:
         batch: Candidates of one search.
         keep: Fraction of a batch, best first, that is polished.
         solver: Solver of the polish.
-        penetration_m: Deepest penetration of an accepted grasp, against the parts [m].
-        task_margin: Least task margin of a grasp of three or more contacts that a search finds. Measured
-            (`studies/margins`): 87 % of the grasps above 1 lift, 63 % of those below, which do not even resist being
-            pushed up by more than their weight. Other hands' grasps and predictions are taken as they are.
+        demands: What grasps must meet that a search finds.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
-    polish: PolishSettings = field(default_factory=PolishSettings)
+    polish: PolishSettings = field(default_factory=lambda: PolishSettings(friction_fraction=0.5))
     batch: int = 64
     keep: float = 0.6
     solver: str = "sequential"
-    penetration_m: float = 1e-3
-    task_margin: float = 1.01
+    demands: Demands = SEARCHED
 
 
 @dataclass(frozen=True)
@@ -123,22 +142,14 @@ def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, flo
     )
 
 
-def finish_grasp(
-    hand: Hand,
-    point: Point,
-    *,
-    protocol: LiftProtocol = LIFT,
-    penetration_m: float = 1e-3,
-    task_margin: float = 0.0,
-) -> Outcome:
+def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, demands: Demands = GIVEN) -> Outcome:
     """Certifies a polished point, measures its penetration and prepares its lift.
 
     Args:
         hand: The hand.
         point: A point whose contacts touch.
         protocol: The protocol whose gains the squeeze is for.
-        penetration_m: Deepest penetration that is accepted, against the parts [m].
-        task_margin: Least task margin that is accepted of three or more contacts. (Pinches have little or none.)
+        demands: What the grasp must meet.
 
     Returns:
         The grasp, or the reason why there is none.
@@ -151,7 +162,7 @@ def finish_grasp(
     links = [hand.links[link].name for link in point.contacts.links]
     weight = obj.mass * 9.81
     result = None
-    for safety, least in SQUEEZES:
+    for safety, least in demands.squeezes:
         result = certify(
             p_OCs,
             n_OCs,
@@ -171,10 +182,10 @@ def finish_grasp(
     assert result is not None
     if result.certificate is None:
         return Outcome(None, f"certificate: {result.reason}")
-    if len(links) > 2 and result.certificate.task_margin < task_margin:
+    if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
         return Outcome(None, "task margin")
     depth_parts, depth_mesh = penetrations(hand, k, scene)
-    if depth_parts > penetration_m:
+    if depth_parts > demands.penetration_m:
         return Outcome(None, "penetration")
     opened = pregrasp(hand, scene, k.X_WH, k.q)
     if opened.clearance < 1e-3:
@@ -202,17 +213,19 @@ def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OC
 
 
 def polish(
-    program: GraspProgram, settings: SynthesisSettings, *, protocol: LiftProtocol = LIFT, task_margin: float = 0.0
+    program: GraspProgram,
+    *,
+    solver: str = "sequential",
+    protocol: LiftProtocol = LIFT,
+    demands: Demands = GIVEN,
 ) -> Outcome:
     """Solves a program and finishes the grasp; see `finish_grasp`."""
     start = time.perf_counter()
     # Posture and effort are preferences, not goals: the first point that holds is as good as the nearest one.
-    result = solve(program, solver=settings.solver, improvement=np.inf)
+    result = solve(program, solver=solver, improvement=np.inf)
     if not result.success:
         return Outcome(None, result.worst)
-    outcome = finish_grasp(
-        program.hand, result.point, protocol=protocol, penetration_m=settings.penetration_m, task_margin=task_margin
-    )
+    outcome = finish_grasp(program.hand, result.point, protocol=protocol, demands=demands)
     if outcome.grasp is None:
         return outcome
     return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
@@ -240,7 +253,7 @@ def candidates_of_batch(
     for row in range(max(1, round(settings.keep * len(found.energy)))):
         tally.tried += 1
         program = program_of_candidate(hand, scene, found, row, settings=settings.polish, extra_costs=costs)
-        outcome = polish(program, settings, task_margin=settings.task_margin)
+        outcome = polish(program, solver=settings.solver, demands=settings.demands)
         if outcome.grasp is None:
             tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
             continue

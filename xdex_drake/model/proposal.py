@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.dataset.synthesis import Outcome, SynthesisSettings, polish
+from xdex_drake.dataset.synthesis import Outcome, polish
 from xdex_drake.hand.description import Hand
 from xdex_drake.model.cvae import CVAE
 from xdex_drake.model.features import hand_features, object_features, zero_configuration
 from xdex_drake.model.predict import Prediction, sample
-from xdex_drake.programs.force_closure import polish_program
+from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.link_pose_ik import link_pose_ik, touching_fingers
 from xdex_drake.programs.retargeting import REFINEMENT
 from xdex_drake.programs.search import Candidates, refine
@@ -81,7 +81,7 @@ def propose(
     *,
     count: int,
     seed: int = 0,
-    settings: SynthesisSettings | None = None,
+    settings: PolishSettings | None = None,
 ) -> Iterator[Outcome]:
     """Predicted grasps, refined and certified; not lifted yet.
 
@@ -91,20 +91,19 @@ def propose(
         scene: The scene.
         count: Number of predictions.
         seed: Seed of the draws.
-        settings: Settings of polish and certificate; the defaults where None.
+        settings: Numbers of the hard constraints; the defaults where None.
 
     Yields:
         One outcome a prediction, failed ones with their reason.
     """
-    settings = settings or SynthesisSettings()
     start = time.perf_counter()
     raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
     refined = refine(hand, scene, raw, settings=REFINEMENT)
     share = (time.perf_counter() - start) / count
     for k in range(count):
         X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(refined.R_WHs[k]), refined.p_WHs[k])
-        program = polish_program(hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=settings.polish)
-        outcome = polish(program, settings)
+        program = polish_program(hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=settings)
+        outcome = polish(program)
         if outcome.grasp is not None:
             name = f"{hand.name}-{scene.object.name}-predicted-{seed}-{k}"
             outcome = Outcome(replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share), "")

@@ -87,7 +87,7 @@ class SearchSettings:
     joint_step: float = 0.04
     oversample: int = 8
     contacts: int = 4
-    friction_fraction: float = 0.5
+    friction_fraction: float = 0.4
     force_steps: int = 3
     estimator: str = "wrench"
     pad_cosine: float = 0.6
