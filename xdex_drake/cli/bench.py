@@ -33,23 +33,26 @@ class Bench:
     Times are of one thread, wall and processor; a wall time well above the other says that the machine was busy.
     `force_closure` times a whole synthesis stage by stage, `wrench` the convex programs and certificates, `retargeting`
     grasps of one hand carried to the other hands, `ik` link-pose inverse kinematics of all hands in batches of 128.
+    `problems` runs every problem of the library by every solver and draws their performance profiles beside it.
     Try `xdex bench wrench`. A table is printed, and written as JSON with machine, versions and seed beside a picture.
 
     Attributes:
         name: What to time.
         hand: The hand; for `retargeting` the source hand.
         object: The object.
-        repeats: Number of candidates, grasps, or (for `ik`, a tenth of it) batches that are timed.
+        repeats: Number of candidates or grasps that are timed; of `ik` batches and starts of `problems`, a tenth of it.
         seed: Seed.
         out: A .json file for the figures; a picture of the same name is written beside it.
+        time_limit: Seconds after which Drake's solvers give up on one start of `problems`.
     """
 
-    name: tyro.conf.Positional[Literal["all", "force_closure", "wrench", "retargeting", "ik"]] = "all"
+    name: tyro.conf.Positional[Literal["all", "force_closure", "wrench", "retargeting", "ik", "problems"]] = "all"
     hand: str = "allegro"
     object: str = "can"
     repeats: int = 20
     seed: int = 0
     out: Path = Path("bench.json")
+    time_limit: float = 5.0
 
     def run(self) -> int:
         """Times, writes, prints a table for each benchmark."""
@@ -58,6 +61,8 @@ class Bench:
 
         if self.repeats < 1:
             raise ConfigError(f"--repeats is {self.repeats}; give 1 or more")
+        if not self.time_limit > 0.0:
+            raise ConfigError(f"--time-limit is {self.time_limit:g}; give a number of seconds greater than zero")
         if self.seed < 0:
             raise ConfigError(f"--seed is {self.seed}; give 0 or more")
         check_output_file(self.out, ".json")
@@ -66,10 +71,11 @@ class Bench:
 
         from xdex_drake.cli.show import write_text
         from xdex_drake.evaluation.bench import Watch, content, picture
+        from xdex_drake.evaluation.bench_problems import profile_picture
 
         torch.set_num_threads(1)
         conditions = {"hand": self.hand, "object": self.object, "repeats": self.repeats}
-        contents, stages = [], ()
+        contents, stages, runs = [], (), []
         with keeping_finished_work() as interruption:
             for name in _RUNS if self.name == "all" else (self.name,):
                 watch = Watch()
@@ -78,6 +84,7 @@ class Bench:
                 finally:  # what was timed before Ctrl-C is told
                     contents.append(content(name, watch, seed=self.seed, conditions=conditions))
                     stages += watch.stages()
+                    runs += watch.runs
                     _print(name, watch)
         if not stages:
             return interruption.status(1)
@@ -86,6 +93,10 @@ class Bench:
         title = f"xdex bench {self.name}: medians, p90 (line) and target (red)"
         write_text(self.out.with_suffix(".svg"), picture(title, stages))
         print(f"written to {self.out} and {self.out.with_suffix('.svg')}")
+        if runs:
+            profile = self.out.with_name(f"{self.out.stem}_profile.svg")
+            write_text(profile, profile_picture("share of problems solved within a multiple of the fastest time", runs))
+            print(f"performance profiles: {profile}")
         return interruption.status(0)
 
 
@@ -138,9 +149,26 @@ def _ik(command: Bench, watch: Watch) -> None:
         bench_ik(watch, hands, repeats=repeats, batch=128, seed=command.seed, tick=bar.update)
 
 
+def _problems(command: Bench, watch: Watch) -> None:
+    from xdex_drake.evaluation.bench_problems import bench_problems
+    from xdex_drake.programs.problems import list_problems
+
+    names, starts = list_problems(), max(1, command.repeats // 10)
+    with progress(len(names), "problems") as bar:
+        bench_problems(watch, names, starts=starts, time_limit_s=command.time_limit, tick=bar.update)
+    solvers = list(dict.fromkeys(run["solver"] for run in watch.runs))
+    cells: dict[str, dict[str, list[str]]] = {}
+    for run in watch.runs:
+        cell = f"{1e3 * run['seconds']:.0f} ms" if run["solved"] else run["worst"]
+        cells.setdefault(run["problem"], {}).setdefault(run["solver"], []).append(cell)
+    rows = [(name, *(", ".join(row.get(solver, [])) for solver in solvers)) for name, row in cells.items()]
+    print(table(rows, ("problem: time, or the constraint left", *solvers)) + "\n")
+
+
 _RUNS: dict[str, Callable[[Bench, Watch], None]] = {
     "wrench": _wrench,
     "ik": _ik,
     "retargeting": _retargeting,
     "force_closure": _force_closure,
+    "problems": _problems,
 }

@@ -46,11 +46,13 @@ class Watch:
         times: Wall and processor seconds of each stage.
         targets: What medians are meant to stay under [ms].
         facts: Counts and figures beside times, by name.
+        runs: Rows of plain values, one for each solve, where a benchmark keeps them.
     """
 
     times: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     targets: dict[str, float] = field(default_factory=dict)
     facts: dict[str, float] = field(default_factory=dict)
+    runs: list[dict[str, Any]] = field(default_factory=list)
 
     def time(self, stage: str, work: Callable[[], Any], *, share: int = 1, target_ms: float | None = None) -> Any:
         """Runs work once and keeps its time.
@@ -132,6 +134,7 @@ def content(name: str, watch: Watch, *, seed: int, conditions: dict[str, Any]) -
         **machine(),
         "facts": watch.facts,
         "stages": [vars(stage) for stage in watch.stages()],
+        **({"runs": watch.runs} if watch.runs else {}),
     }
 
 

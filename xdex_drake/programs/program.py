@@ -7,7 +7,10 @@ costs and constraints by the chain rule, with analytic gradients: nothing is dif
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -90,11 +93,16 @@ class UserCost:
 Cost = LeastSquares | UserCost
 
 
+class OutOfTime(RuntimeError):
+    """A solver asks for another value after its time."""
+
+
 class _Evaluator:
     """Turns decision variables into points; the last one is kept, since costs and constraints ask in turn."""
 
     def __init__(self, start: Point) -> None:
         self._start = start
+        self.deadline = math.inf
         self._last: tuple[bytes, Point] | None = None
 
     def point(self, x: Array) -> Point:
@@ -102,6 +110,8 @@ class _Evaluator:
         key = x.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1]
+        if time.perf_counter() > self.deadline:
+            raise OutOfTime
         start, n = self._start, len(self._start.k.q)
         R_WH = RotationMatrix(Quaternion(wxyz=x[3:7] / np.linalg.norm(x[3:7])))
         k = Configuration.at(start.k.hand, RigidTransform(R_WH, x[:3]), x[7 : 7 + n])
@@ -214,6 +224,19 @@ class GraspProgram:
     def point(self, x: Array) -> Point:
         """The point at values of the decision variables, shape (7 + n + 3 nc,)."""
         return self._evaluator.point(x)
+
+    @contextmanager
+    def limited(self, seconds: float) -> Iterator[None]:
+        """Raises `OutOfTime` in whoever asks for a new point after so many seconds; not every solver has a limit."""
+        self._evaluator.deadline = time.perf_counter() + seconds
+        try:
+            yield
+        finally:
+            self._evaluator.deadline = math.inf
+
+    def last_point(self) -> Point:
+        """The last point at which a solver asked for values; the start where none did."""
+        return self.start if self._evaluator._last is None else self._evaluator._last[1]
 
     def rates(self, x: Array) -> Array:
         """Matrix that turns rates of the decision variables into the tangent; see `tangent_rates`."""

@@ -6,12 +6,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from pydrake.solvers import IpoptSolver, NloptSolver, SnoptSolver, SolverInterface, SolverOptions
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.programs.constraints import TOLERANCES
 from xdex_drake.programs.point import Point
-from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.program import GraspProgram, OutOfTime
 from xdex_drake.programs.sequential import solve_sequential
 
 SOLVERS = ("sequential", "snopt", "ipopt", "nlopt")
@@ -58,10 +59,12 @@ def _drake_solver(name: str, time_limit_s: float) -> tuple[SolverInterface, Solv
     options = SolverOptions()
     if name == "snopt":
         solver = SnoptSolver()
-        options.SetOption(solver.solver_id(), "Major iterations limit", 200)
+        options.SetOption(solver.solver_id(), "Major iterations limit", 100)
         options.SetOption(solver.solver_id(), "Major feasibility tolerance", 1e-4)
         options.SetOption(solver.solver_id(), "Major optimality tolerance", 1e-3)
-        options.SetOption(solver.solver_id(), "Time limit", time_limit_s)
+        # Exact distances have kinks, at which long steps and exact line searches are lost.
+        options.SetOption(solver.solver_id(), "Linesearch tolerance", 0.5)
+        options.SetOption(solver.solver_id(), "Major step limit", 0.3)
         return solver, options
     if name == "ipopt":
         solver = IpoptSolver()
@@ -74,6 +77,22 @@ def _drake_solver(name: str, time_limit_s: float) -> tuple[SolverInterface, Solv
     options.SetOption(solver.solver_id(), "max_eval", 200)
     options.SetOption(solver.solver_id(), NloptSolver.MaxTimeName(), time_limit_s)
     return solver, options
+
+
+def _solve_with_drake(program: GraspProgram, name: str, time_limit_s: float) -> Point:
+    """The point that a solver of Drake returns, or the last one it tried where it ran out of time or lost its way."""
+    solver, options = _drake_solver(name, time_limit_s)
+    try:
+        with program.limited(1.1 * time_limit_s):
+            result = solver.Solve(program.prog, program.prog.initial_guess(), options)
+    except RuntimeError as error:
+        # Drake wraps what is raised within SNOPT's callbacks.
+        if not isinstance(error, OutOfTime) and OutOfTime.__name__ not in str(error):
+            raise
+        return program.last_point()
+    x = result.GetSolution(program.variables)
+    # NLopt's SLSQP returns NaN for some infeasible programs.
+    return program.point(x) if np.isfinite(x).all() else program.start
 
 
 def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
@@ -121,9 +140,7 @@ def solve(
     if solver == "sequential":
         point, count = solve_sequential(program, iterations=iterations, improvement=improvement)
     else:
-        drake_solver, options = _drake_solver(solver, time_limit_s)
-        result = drake_solver.Solve(program.prog, program.prog.initial_guess(), options)
-        point, count = program.point(result.GetSolution(program.variables)), -1
+        point, count = _solve_with_drake(program, solver, time_limit_s), -1
     seconds = time.perf_counter() - start
     violations, worst = judge(program, point)
     costs = {cost.name: cost.value(point) for cost in program.costs}
