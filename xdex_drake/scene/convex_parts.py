@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull, QhullError
 from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.scene.distance import ExactDistance, HalfSpaces, Part, build_grid, sample_surface, union_surface
+from xdex_drake.scene.split_process import split_in_process
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -34,6 +35,12 @@ CONCAVITY = 3e-3
 FINE_CONCAVITY = 2e-3
 REFINE_PARTS = 40
 MAX_PARTS = 64
+LIGHT_TRIANGLES = 8000
+"""A surface is simplified to about this many triangles before it is split, as far as that costs less than 1 mm."""
+
+
+class TooDetailed(RuntimeError):
+    """A mesh whose fine split would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,7 @@ class ConvexParts:
         gap_p99_m: 99th percentile over the mesh's surface of the distance by which it stands outside the union [m].
         seconds: Time that it took to compute [s]; that of the first time where it comes from the cache.
         cached: Whether it comes from the cache.
+        note: What is not as usual about the split, in words.
     """
 
     parts: tuple[Part, ...]
@@ -55,6 +63,7 @@ class ConvexParts:
     gap_p99_m: float
     seconds: float
     cached: bool
+    note: str = ""
 
 
 def mesh_digest(vertices: Array, faces: Faces) -> str:
@@ -72,12 +81,13 @@ def mesh_digest(vertices: Array, faces: Faces) -> str:
     return sha.hexdigest()
 
 
-def convex_parts(vertices: Array, faces: Faces) -> ConvexParts:
+def convex_parts(vertices: Array, faces: Faces, *, likely: bool = True) -> ConvexParts:
     """Splits a mesh into convex parts, or reads them from the cache.
 
     Args:
         vertices: Vertices [m], shape (n, 3).
         faces: Outward triangles, shape (m, 3).
+        likely: Whether the mesh looks like one of an object; others get less time (`xdex_drake.scene.split_process`).
 
     Returns:
         The parts, their union and how well it fits the mesh.
@@ -92,23 +102,30 @@ def convex_parts(vertices: Array, faces: Faces) -> ConvexParts:
         except (KeyError, ValueError, IndexError):
             _log.warning("%s is damaged and is computed again", file)
     start = time.perf_counter()
-    parts = _decompose(vertices, faces)
+    hull = _part(vertices, 0.0)
+    parts, note = (hull,), ""
+    if fit(vertices, faces, parts, hull)[0] > HULL_BULGE:
+        parts, note = split_in_process(vertices, faces, likely=likely)
     surface = union_surface(parts)
     bulge, gap = fit(vertices, faces, parts, surface)
-    result = ConvexParts(parts, surface, bulge, gap, time.perf_counter() - start, False)
+    result = ConvexParts(parts, surface, bulge, gap, time.perf_counter() - start, False, note)
     write_cache(file, _to_arrays(result))
     return result
 
 
-def _decompose(vertices: Array, faces: Faces) -> tuple[Part, ...]:
-    """One hull where that is good enough, else CoACD; finer a second time where the first result bulges on few parts.
+def split(vertices: Array, faces: Faces) -> tuple[Part, ...]:
+    """Splits a mesh by CoACD, finer a second time where the first result bulges on few parts.
 
     The second pass depends on the number of parts and not on time, so that the result is the same on every machine. A
     mesh that CoACD must mend gets none: the mending costs more accuracy than a second pass would bring.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+
+    Returns:
+        The parts. Not for use in the caller's process: see `split_in_process`.
     """
-    hull = _part(vertices, 0.0)
-    if fit(vertices, faces, [hull], hull)[0] <= HULL_BULGE:
-        return (hull,)
     coacd.set_log_level("error")
     solid = _light_mesh(vertices, faces)
     parts = _run_coacd(solid or (vertices, faces), CONCAVITY, 2 * MAX_PARTS, mend=solid is None)
@@ -120,6 +137,37 @@ def _decompose(vertices: Array, faces: Faces) -> tuple[Part, ...]:
     return parts
 
 
+def split_coarsely(vertices: Array, faces: Faces) -> tuple[Part, ...]:
+    """Splits a mesh into few parts that follow it within about a twentieth of its size, fast.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+
+    Returns:
+        The parts.
+
+    Raises:
+        ObjectFileError: The surface encloses nothing.
+    """
+    coacd.set_log_level("error")
+    solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+    if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
+        solid = _level_set(vertices, faces)
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    bodies = [body for body in solid.decompose() if body.volume() > 1e-6 * size**3]
+    if len(bodies) > MAX_PARTS:
+        raise ObjectFileError(f"consists of {len(bodies)} separate bodies; import them one by one")
+    if not bodies:
+        raise ObjectFileError("encloses no volume that could be split into convex parts; export a closed surface")
+    solid, tolerance = manifold3d.Manifold.compose(bodies), 1e-3 * size
+    while solid.num_tri() > 2000 and tolerance < 0.05 * size:
+        solid, tolerance = solid.simplify(tolerance), 2.0 * tolerance
+    mesh = solid.to_mesh64()
+    light = np.array(mesh.vert_properties, dtype=np.float64)[:, :3], np.array(mesh.tri_verts, dtype=np.int64)
+    return _run_coacd(light, 0.05 * size, 16, mend=False)
+
+
 def _light_mesh(vertices: Array, faces: Faces) -> Part | None:
     """The mesh as one closed surface without inner voids and detail below 0.15 mm; None where it cannot be had."""
     solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
@@ -128,7 +176,12 @@ def _light_mesh(vertices: Array, faces: Faces) -> Part | None:
     bodies = [body for body in solid.decompose() if body.volume() > 0.0]
     if not bodies:
         return None
-    mesh = manifold3d.Manifold.compose(bodies).simplify(1.5e-4).to_mesh64()
+    solid, tolerance = manifold3d.Manifold.compose(bodies).simplify(1.5e-4), 3e-4
+    while solid.num_tri() > LIGHT_TRIANGLES and tolerance < TARGET_BULGE:
+        solid, tolerance = solid.simplify(tolerance), 1.5 * tolerance
+    if solid.num_tri() > 2 * LIGHT_TRIANGLES:
+        raise TooDetailed(f"has too much detail: {solid.num_tri()} triangles of more than 1 mm")
+    mesh = solid.to_mesh64()
     light = np.array(mesh.vert_properties, dtype=np.float64)[:, :3], np.array(mesh.tri_verts, dtype=np.int64)
     outside = ExactDistance(*light).query(sample_surface(vertices, faces, 4000, 0)[0]).distance
     return light if np.percentile(outside, 99) < 1e-3 else None  # Thin open sheets are lost in a level set.
@@ -308,6 +361,7 @@ def _to_arrays(result: ConvexParts) -> dict[str, NDArray]:
         "surface_vertices": result.surface[0],
         "surface_faces": result.surface[1],
         "figures": np.array([result.bulge_p99_m, result.gap_p99_m, result.seconds]),
+        "note": np.array(result.note),
     }
 
 
@@ -316,7 +370,8 @@ def _from_arrays(arrays: dict[str, NDArray]) -> ConvexParts:
     parts = zip(np.split(arrays["part_vertices"], ends[:, 0]), np.split(arrays["part_faces"], ends[:, 1]), strict=True)
     bulge, gap, seconds = (float(x) for x in arrays["figures"])
     surface = (arrays["surface_vertices"], arrays["surface_faces"])
-    return ConvexParts(tuple(parts), surface, bulge, gap, seconds, True)
+    note = str(arrays["note"]) if "note" in arrays else ""
+    return ConvexParts(tuple(parts), surface, bulge, gap, seconds, True, note)
 
 
 def read_cache(file: Path) -> dict[str, NDArray] | None:

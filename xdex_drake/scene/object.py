@@ -30,6 +30,9 @@ Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
 
 GRID_RECIPE = 3  # Raise whenever the way to the grid changes: it is part of the cache's key.
+LIKELY_BODIES = 30
+"""A mesh of more bodies is hardly one of an object: its split gets less time."""
+
 DEFAULT_MASS = 0.1
 DEFAULT_FRICTION = 0.6
 
@@ -46,7 +49,11 @@ class PreparationReport:
         gap_p99_m: 99th percentile of the distance by which the mesh stands out of the parts [m].
         repairs: What was changed in the mesh, in words.
         watertight: Whether the mesh is closed.
-        inertia_source: `mesh`, or `parts` where the mesh is not closed and the volume of the parts is taken.
+        inertia_source: `mesh`, or `parts` where the mesh is not closed, or overlaps itself, and the volume of the
+            parts is taken.
+        volume: Volume of the material [m^3]: without the inside of a cup.
+        wall: Mean thickness of the walls of a shell, such as a cup or a frame [m]; None for a solid body. A shell
+            encloses less than half of its convex hull by walls, 2 volume / area, thinner than 0.12 times its size.
     """
 
     seconds: float
@@ -57,6 +64,8 @@ class PreparationReport:
     repairs: tuple[str, ...]
     watertight: bool
     inertia_source: str
+    volume: float = float("nan")
+    wall: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +151,25 @@ class ObjectModel:
 
 
 def load_object(
-    name_or_path: str | Path, *, scale: float = 1.0, mass: float = DEFAULT_MASS, friction: float = DEFAULT_FRICTION
+    name_or_path: str | Path,
+    *,
+    scale: float | None = None,
+    mass: float = DEFAULT_MASS,
+    friction: float = DEFAULT_FRICTION,
+    density: float | None = None,
 ) -> ObjectModel:
     """Prepares an object: a shape of the library, a generated shape, or any mesh file.
+
+    Mass is given, and spread evenly over the volume. By a density it is that of the mesh's own volume: of its walls
+    where they are part of the mesh, as those of a cup, or of a wall of 2 mm where the surface is open.
 
     Args:
         name_or_path: One of `list_objects()`, the name of a generated shape (`s0-0042`: seed 0, number 42), or the path
             of a mesh file.
-        scale: Factor from the mesh file's unit to metres.
-        mass: Mass [kg].
+        scale: Factor from the mesh file's unit to metres; guessed by the size of a mesh file where None.
+        mass: Mass [kg]; unused where `density` is given.
         friction: Coefficient of friction.
+        density: Density [kg/m^3], None for the mass as given.
 
     Returns:
         The object, with its convex parts.
@@ -160,18 +178,18 @@ def load_object(
         UnknownObject: The library has no such shape.
         ObjectFileError: The mesh file or a number cannot be used.
     """
-    for label, value in (("scale", scale), ("mass", mass)):
-        if not (math.isfinite(value) and value > 0.0):
+    for label, value in (("scale", scale), ("mass", mass), ("density", density)):
+        if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ObjectFileError(f"{name_or_path}: {label} is {value}; give a finite number greater than zero")
     if not (math.isfinite(friction) and friction >= 0.0):
         raise ObjectFileError(f"{name_or_path}: friction is {friction}; give a finite number, zero or greater")
     text, path = str(name_or_path), None
     if isinstance(name_or_path, str) and text in list_objects():
         vertices, faces = procedural_mesh(text)
-        mesh, name = clean_mesh(vertices * scale, faces), text
+        mesh, name = clean_mesh(vertices * (scale or 1.0), faces), text
     elif isinstance(name_or_path, str) and is_shape_name(text):
         vertices, faces = generated_mesh(text)
-        mesh, name = clean_mesh(vertices * scale, faces), text
+        mesh, name = clean_mesh(vertices * (scale or 1.0), faces), text
     elif isinstance(name_or_path, str) and "/" not in text and "\\" not in text and not Path(text).suffix:
         known = list_objects()
         close = difflib.get_close_matches(text, known, n=3, cutoff=0.5)
@@ -181,13 +199,23 @@ def load_object(
         path = Path(name_or_path)
         mesh, name = read_mesh(path, scale=scale), path.stem
     try:
-        convex = convex_parts(mesh.vertices, mesh.faces)
+        convex = convex_parts(mesh.vertices, mesh.faces, likely=mesh.bodies <= LIKELY_BODIES)
     except ObjectFileError as error:
         raise ObjectFileError(f"{name_or_path}: {error}") from None
     body, source = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), "mesh"
-    if not (mesh.watertight and body.volume > 0.0):
-        body, source = trimesh.Trimesh(*convex.surface, process=False), "parts"
+    union = trimesh.Trimesh(*convex.surface, process=False)
+    repairs = [*mesh.repairs, *([convex.note] if convex.note else [])]
+    if mesh.watertight and body.volume > 1.02 * union.volume:
+        repairs.append("the surface overlaps itself: volume and inertia are those of the parts")
+        body, source = union, "parts"
+    elif not (mesh.watertight and body.volume > 0.0):
+        body, source = union, "parts"
     properties = body.mass_properties
+    volume = float(properties.mass)
+    if density is not None:
+        mass = density * volume
+    wall = 2.0 * volume / float(body.area)
+    hull = float(body.convex_hull.volume)
     p_OOcm = np.asarray(properties.center_mass, dtype=np.float64)
     report = PreparationReport(
         seconds=convex.seconds,
@@ -195,9 +223,11 @@ def load_object(
         parts=len(convex.parts),
         bulge_p99_m=convex.bulge_p99_m,
         gap_p99_m=convex.gap_p99_m,
-        repairs=mesh.repairs,
+        repairs=tuple(repairs),
         watertight=mesh.watertight,
         inertia_source=source,
+        volume=volume,
+        wall=wall if mesh.shell or (volume < 0.5 * hull and wall < 0.12 * hull ** (1.0 / 3.0)) else None,
     )
     return ObjectModel(
         name=name,
@@ -210,7 +240,7 @@ def load_object(
         p_OOcm=p_OOcm,
         I_OcmO=np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass),
         friction=friction,
-        scale=scale,
+        scale=mesh.scale if path is not None else scale or 1.0,
         length=_surface_radius(*convex.surface, p_OOcm),
         digest=mesh_digest(mesh.vertices, mesh.faces),
         report=report,

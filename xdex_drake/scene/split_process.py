@@ -1,0 +1,120 @@
+"""Splits a mesh into convex parts in a process of its own, within limits of time and memory.
+
+The libraries that split and mend meshes end the process, or do not return, on some broken input. Time is counted on the
+processor, so that a busy machine changes no result; a wall limit ends what waits for nothing.
+"""
+
+import logging
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from xdex_drake.errors import ObjectFileError
+from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.scene.distance import Part
+
+_log = logging.getLogger(__name__)
+
+FINE_CPU_S = {True: 60.0, False: 8.0}
+"""Processor time for likely meshes (40 everyday ones, closed or not, took 39 s at most), and for unlikely ones [s]."""
+
+COARSE_CPU_S = 8.0
+"""Processor time of the coarser split that is tried where that was not enough [s]."""
+
+MEMORY_BYTES = 6_000_000_000
+COARSELY = "split coarsely"
+
+
+def split_in_process(vertices: Array, faces: Faces, *, likely: bool) -> tuple[tuple[Part, ...], str]:
+    """Splits a mesh, coarsely where the fine way crashes or takes too long.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+        likely: Whether the mesh looks like one of an object, which is worth more time.
+
+    Returns:
+        The parts, and a sentence where they are the coarser ones, else empty.
+
+    Raises:
+        ObjectFileError: No way gives parts; the message does not name the file.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
+        failure = _run(folder, "fine", FINE_CPU_S[likely])
+        if not failure:
+            return _read(folder / "fine.npz"), ""
+        _log.warning("splitting a mesh of %d triangles: %s; it is split coarsely", len(faces), failure)
+        again = _run(folder, "coarse", COARSE_CPU_S)
+        if not again:
+            return _read(folder / "coarse.npz"), f"{COARSELY}, as the fine way {failure}"
+    raise ObjectFileError(f"cannot be split into convex parts: it {failure}; repair or simplify the mesh")
+
+
+def _run(folder: Path, way: str, cpu_s: float) -> str:
+    """Runs the child; the reason why it failed, empty where it did not.
+
+    Raises:
+        ObjectFileError: The child says what is wrong with the mesh.
+    """
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-m", "xdex_drake.scene.split_process", str(folder), way, str(cpu_s)]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, timeout=2.0 * cpu_s + 10.0, check=False, env=environment, text=True
+        )
+    except subprocess.TimeoutExpired:
+        return f"took more than {2.0 * cpu_s + 10.0:g} s"
+    if done.returncode == 0:
+        return ""
+    if (message := folder / "error.txt").exists():
+        raise ObjectFileError(message.read_text(encoding="utf-8"))
+    if way == "fine" and (message := folder / "detail.txt").exists():
+        return message.read_text(encoding="utf-8")
+    if -done.returncode in (24, 9):  # SIGXCPU, SIGKILL
+        return f"took more than {cpu_s:g} s of processor time"
+    _log.info("the splitting process ended with %d: %s", done.returncode, done.stderr[-2000:])
+    return "ended its process" if done.returncode < 0 else "failed"
+
+
+def _read(file: Path) -> tuple[Part, ...]:
+    with np.load(file) as arrays:
+        return tuple((arrays[f"v{k}"], arrays[f"f{k}"]) for k in range(len(arrays.files) // 2))
+
+
+def _limit(kind: int, value: int) -> None:
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+
+
+def main() -> None:
+    """The child: reads `mesh.npz` of a folder and writes the parts beside it."""
+    from xdex_drake.scene.convex_parts import TooDetailed, split, split_coarsely
+
+    folder, way, cpu_s = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+    _limit(resource.RLIMIT_CPU, round(cpu_s + 2.0))  # Two seconds for what was imported.
+    _limit(resource.RLIMIT_CORE, 0)
+    if sys.platform.startswith("linux"):
+        _limit(resource.RLIMIT_AS, MEMORY_BYTES)
+    with np.load(folder / "mesh.npz") as arrays:
+        vertices, faces = arrays["vertices"], arrays["faces"]
+    try:
+        parts = (split if way == "fine" else split_coarsely)(vertices, faces)
+    except ObjectFileError as error:
+        (folder / "error.txt").write_text(str(error), encoding="utf-8")
+        sys.exit(1)
+    except TooDetailed as error:
+        (folder / "detail.txt").write_text(str(error), encoding="utf-8")
+        sys.exit(1)
+    arrays = {f"{label}{k}": part[i] for k, part in enumerate(parts) for i, label in enumerate("vf")}
+    np.savez(folder / f"{way}.npz", **arrays)  # pyright: ignore[reportArgumentType]
+
+
+if __name__ == "__main__":
+    main()
