@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import (
     ClippingRange,
@@ -16,9 +17,18 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
+from xdex_drake.errors import ConfigError
 from xdex_drake.scene.bodies import COARSE_FEET, FOOT_RADIUS, RESTING_FEET, add_object, add_table, feet
 from xdex_drake.scene.object import load_object
-from xdex_drake.scene.tabletop import make_scene, point_cloud, stable_pose
+from xdex_drake.scene.tabletop import (
+    drop,
+    make_scene,
+    point_cloud,
+    random_scene,
+    same_pose,
+    stable_pose,
+    stable_poses,
+)
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +138,59 @@ def test_a_camera_sees_the_mesh(objects):
     height = 0.6 - np.asarray(depth.data)[24, 32, 0]
     assert height == pytest.approx(2.0 * scene.X_WO.multiply(scene.object.p_OOcm)[2], abs=2e-3)
     assert (np.asarray(color.data)[24, 32, :3] != np.asarray(color.data)[0, 0, :3]).any()
+
+
+def test_stable_poses_of_a_box_are_three_and_add_up(objects):
+    poses = stable_poses(objects["box"])
+    size = np.ptp(objects["box"].vertices, axis=0)
+    assert len(poses) == 3
+    assert sum(pose.probability for pose in poses) == pytest.approx(1.0)
+    assert [pose.probability for pose in poses] == sorted((pose.probability for pose in poses), reverse=True)
+    heights = [2.0 * (pose.X_WO @ objects["box"].p_OOcm)[2] for pose in poses]
+    np.testing.assert_allclose(sorted(heights), sorted(size), atol=5e-4)
+    assert np.argmin(heights) == 0  # The lowest center of mass is the most probable.
+    assert all(pose.tilt_rad < np.deg2rad(0.5) for pose in poses)
+
+
+def test_symmetry_makes_one_pose_of_many_facets(objects):
+    assert len(stable_poses(objects["can"])) == 2  # On its side, and on either end.
+
+
+@pytest.mark.parametrize(("shape", "tolerance"), [("box", 0.15), ("cone", 0.15)])
+def test_drops_agree_with_the_hull_method(tmp_path, shape, tolerance):
+    if shape == "cone":
+        trimesh.creation.cone(radius=0.035, height=0.05, sections=24).export(tmp_path / "cone.obj")
+    model = load_object(tmp_path / "cone.obj" if shape == "cone" else shape)
+    poses, rests = stable_poses(model), drop(model, count=40, seed=3)
+    assert len(rests) >= 36
+    found = [
+        next((k for k, pose in enumerate(poses) if same_pose(model, pose.X_WO.rotation(), X.rotation())), -1)
+        for X in rests
+    ]
+    assert found.count(-1) <= 1
+    for k, pose in enumerate(poses):
+        # The standard deviation of a share of 40 is at most 0.08; the hull method knows no momentum.
+        assert found.count(k) / len(found) == pytest.approx(pose.probability, abs=tolerance + 0.05)
+
+
+def test_spread_moves_the_object_and_nothing_else(objects):
+    still, moved = make_scene(objects["box"], seed=2), make_scene(objects["box"], seed=2, spread_m=0.1)
+    offset = moved.X_WO.translation() - still.X_WO.translation()
+    np.testing.assert_array_equal(moved.X_WO.rotation().matrix(), still.X_WO.rotation().matrix())
+    assert offset[2] == 0.0 and 0.0 < np.abs(offset[:2]).max() <= 0.1
+    assert moved.scene_id != still.scene_id
+    for wrong in (-0.1, 2.0):
+        with pytest.raises(ConfigError, match="spread_m"):
+            make_scene(objects["box"], spread_m=wrong)
+
+
+def test_random_scenes_vary_in_size_place_and_pose():
+    scenes = [random_scene("box", seed=k) for k in range(1, 7)]
+    assert len({scene.object.scale for scene in scenes}) > 2
+    assert all(0.8 <= scene.object.scale <= 1.2 for scene in scenes)
+    assert len({tuple(scene.X_WO.translation()) for scene in scenes}) == len(scenes)
+    again = random_scene("box", seed=3)
+    np.testing.assert_array_equal(again.X_WO.GetAsMatrix34(), scenes[2].X_WO.GetAsMatrix34())
+    assert again.scene_id == scenes[2].scene_id
+    with pytest.raises(ConfigError, match="scale"):
+        random_scene("box", seed=1, scale=(1.0, 0.5))

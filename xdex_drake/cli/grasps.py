@@ -39,7 +39,7 @@ class GraspCommand:
         count: How many grasps that lift are wanted.
         seed: Seed of the search; another seed gives other grasps.
         out: The file of grasps.
-        scale: Factor from the mesh file's unit to metres.
+        scale: Factor from the mesh file's unit to metres; guessed by the size where not given.
         mass: Mass of the object [kg].
         friction: Coefficient of friction.
         scene_seed: Choice of the pose at which the object rests on the table; 0 is the most probable one.
@@ -54,7 +54,7 @@ class GraspCommand:
     count: int = 10
     seed: int = 0
     out: Path = Path("grasps.parquet")
-    scale: float = 1.0
+    scale: float | None = None
     mass: float = 0.1
     friction: float = 0.6
     scene_seed: int = 0
@@ -95,7 +95,9 @@ class GraspCommand:
             print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
             return 1
         preparation = time.perf_counter() - begin
-        request = GraspRequest(self.hand, self.object, self.scale, self.mass, self.friction, self.scene_seed, self.seed)
+        request = GraspRequest(
+            self.hand, self.object, model.scale, self.mass, self.friction, self.scene_seed, self.seed
+        )
         tally = RequestTally()
         kept: list[Grasp] = []
         lifted = 0

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, progress, table
+
+if TYPE_CHECKING:
+    from pydrake.math import RigidTransform
 
 ObjectName = Annotated[str, tyro.conf.arg(metavar="OBJECT")]
 
@@ -15,7 +18,8 @@ ObjectName = Annotated[str, tyro.conf.arg(metavar="OBJECT")]
 class ObjectList:
     """The shapes of the library.
 
-    They are built in code, so that nothing needs to be fetched. Any mesh file works as well: give its path.
+    They are built in code, so that nothing needs to be fetched. Any mesh file works as well: give its path. So does the
+    name of a generated shape: s0-0042 is number 42 of seed 0, and so on without end.
     """
 
     def run(self) -> int:
@@ -30,31 +34,39 @@ class ObjectList:
             size = " x ".join(f"{100.0 * length:.1f}" for length in np.ptp(vertices, axis=0))
             rows.append((name, size, len(faces)))
         print(table(rows, ("object", "size [cm]", "triangles")))
+        print("and generated shapes without end, by names such as s0-0042 (seed 0, number 42): `xdex object generate`")
         return 0
 
 
 @dataclass(frozen=True)
 class ObjectShow:
-    """One object: size, mass, convex parts, and how well they follow the mesh.
+    """One object: size, mass, convex parts and how well they follow the mesh, and the poses in which it rests.
 
     The first time prepares the object, which can take seconds; the result is kept in a cache.
     Try `xdex object show mug`, or `xdex object show part.stl --scale 0.001` for a mesh in millimetres.
 
     Attributes:
         object: A library name, a generated shape such as s0-0042, or the path of a mesh.
-        scale: Factor from the mesh file's unit to metres.
+        scale: Factor from the mesh file's unit to metres; guessed by the size, and told, where not given.
+        mass: Mass [kg].
+        density: Density [kg/m^3] of the material, that of the walls of a cup; instead of the mass.
+        poses: Also drop the object and print the poses in which it rests, with their probabilities.
     """
 
     object: tyro.conf.Positional[ObjectName]
-    scale: float = 1.0
+    scale: float | None = None
+    mass: float = 0.1
+    density: float | None = None
+    poses: bool = True
 
     def run(self) -> int:
         """Prints a table."""
         import numpy as np
 
         from xdex_drake.scene.object import load_object
+        from xdex_drake.scene.tabletop import stable_poses
 
-        model = load_object(self.object, scale=self.scale)
+        model = load_object(self.object, scale=self.scale, mass=self.mass, density=self.density)
         report = model.report
         print(
             facts(
@@ -63,7 +75,11 @@ class ObjectShow:
                     ("size [cm]", " x ".join(f"{100.0 * s:.1f}" for s in np.ptp(model.vertices, axis=0))),
                     ("vertices, triangles", f"{len(model.vertices)}, {len(model.faces)}"),
                     ("closed", report.watertight),
-                    ("mass [kg]", model.mass),
+                    ("scale", model.scale),
+                    ("walls [mm]", "solid" if report.wall is None else f"shell, {1e3 * report.wall:.2g} on average"),
+                    ("volume [cm^3]", f"{1e6 * report.volume:.4g} of material, by the {report.inertia_source}"),
+                    ("mass [kg]", f"{model.mass:.4g} ({'given' if self.density is None else 'density x volume'})"),
+                    ("density [kg/m^3]", model.mass / report.volume),
                     ("friction", model.friction),
                     ("center of mass [m]", ", ".join(f"{x:.4f}" for x in model.p_OOcm)),
                     ("length of torques [m]", model.length),
@@ -76,53 +92,106 @@ class ObjectShow:
                 ]
             )
         )
+        if self.poses:
+            rows = [
+                (k, f"{pose.probability:.3f}", 100.0 * float(pose.X_WO.translation()[2]), _direction(pose.X_WO))
+                for k, pose in enumerate(stable_poses(model))
+            ]
+            print("\n" + table(rows, ("pose", "probability", "height of origin [cm]", "up, in the object's frame")))
         return 0
 
 
 @dataclass(frozen=True)
 class ObjectImport:
-    """Checks mesh files, cleans and scales them, and writes them as OBJ in metres.
+    """Checks mesh files, cleans and scales them, and writes them as OBJ in metres, with an index.
 
-    Each file is prepared at once, so that later commands find its convex parts in the cache.
-    Try `xdex object import scans/*.stl --scale 0.001 --out objects`, then `xdex grasp --object objects/cup.obj ...`.
+    A folder stands for the meshes in it and below. Each file is prepared at once, so that later commands find its
+    convex parts in the cache; `index.csv` tells its scale, size, parts, how they fit, seconds and repairs.
+    Try `xdex object import scans --out objects`, then `xdex grasp --object objects/cup.obj ...`.
 
     Attributes:
-        meshes: Mesh files: .obj, .stl, .ply, .off, .gltf, .glb or .dae.
-        out: Folder for the cleaned meshes.
-        scale: Factor from the files' unit to metres.
+        meshes: Mesh files (.obj, .stl, .ply, .off, .gltf, .glb or .dae), and folders of them.
+        out: Folder for the cleaned meshes and `index.csv`.
+        scale: Factor from the files' unit to metres; guessed for each by its size, and told, where not given.
     """
 
     meshes: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="MESH...")]]
     out: Path = Path("objects")
-    scale: float = 1.0
+    scale: float | None = None
 
     def run(self) -> int:
         """Imports the files one by one; files that cannot be used are told, and the others are still written."""
+        import csv
+        import io
+
+        import numpy as np
+
+        from xdex_drake.cli.show import write_text
         from xdex_drake.errors import ConfigError, XdexError
         from xdex_drake.scene.object import load_object
 
         if not self.meshes:
-            raise ConfigError("no mesh is given; name at least one file")
+            raise ConfigError("no mesh is given; name at least one file or folder")
+        files = [file for path in self.meshes for file in _mesh_files(path)]
+        if not files:
+            raise ConfigError(
+                f"{self.meshes[0]}: holds no mesh files; give a folder of .obj, .stl, .ply or other meshes"
+            )
         check_writable(self.out / "x.obj")
         rows: list[tuple[object, ...]] = []
+        index: list[tuple[object, ...]] = []
+        told: list[str] = []
         refused: list[str] = []
-        with keeping_finished_work() as interruption, progress(len(self.meshes), "import") as bar:
-            for path in self.meshes:
+        taken: set[str] = set()
+        with keeping_finished_work() as interruption, progress(len(files), "import") as bar:
+            for path in files:
                 try:
-                    model = load_object(Path(path), scale=self.scale)
+                    model = load_object(path, scale=self.scale)
                 except XdexError as error:
                     refused.append(str(error))
+                    index.append((path.stem, "", str(path), *[""] * 12, str(error)))
                 else:
-                    target = self.out / f"{model.name}.obj"
+                    name, report = _free_name(model.name, taken), model.report
+                    target = self.out / f"{name}.obj"
                     _write_obj(target, model.vertices, model.faces)
-                    report = model.report
-                    rows.append((model.name, report.parts, 1e3 * report.bulge_p99_m, report.seconds, str(target)))
+                    bulge, gap = 1e3 * report.bulge_p99_m, 1e3 * report.gap_p99_m
+                    rows.append(
+                        (name, model.scale, report.parts, bulge, report.seconds, len(report.repairs), str(target))
+                    )
+                    size = (f"{x:.6f}" for x in np.ptp(model.vertices, axis=0))
+                    figures = (f"{bulge:.3f}", f"{gap:.3f}", f"{report.seconds:.2f}", f"{1e6 * report.volume:.4g}")
+                    wall = "" if report.wall is None else f"{1e3 * report.wall:.3g}"
+                    facts_of = (
+                        f"{model.scale:g}",
+                        *size,
+                        len(model.faces),
+                        report.watertight,
+                        report.parts,
+                        *figures,
+                        wall,
+                    )
+                    index.append((name, target.name, str(path), *facts_of, "; ".join(report.repairs)))
+                    told += [f"{name}: {repair}" for repair in report.repairs]
                 bar.update()
         if rows:
-            print(table(rows, ("object", "parts", "bulge p99 [mm]", "seconds", "file")))
+            print(table(rows, ("object", "scale", "parts", "bulge p99 [mm]", "seconds", "repairs", "file")))
+        if told:
+            print("\n" + "\n".join(told))
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(INDEX_COLUMNS)
+        writer.writerows(index)
+        write_text(self.out / "index.csv", text.getvalue())
         if refused:
             raise ConfigError(" | ".join(refused))
         return interruption.status(0)
+
+
+INDEX_COLUMNS = (
+    *("name", "file", "source", "scale", "x_m", "y_m", "z_m", "triangles", "closed", "parts", "bulge_p99_mm"),
+    *("gap_p99_mm", "seconds", "volume_cm3", "wall_mm", "repairs"),
+)
+"""Columns of the index of an imported set; a file that was refused has its error in the last one."""
 
 
 @dataclass(frozen=True)
@@ -189,6 +258,29 @@ class ObjectGenerate:
         picture = f", picture {self.out / 'shapes.png'}" if pictures else ", no picture: this machine cannot render"
         print(f"{len(lines) - 1} written to {self.out}{picture}")
         return interruption.status(0)
+
+
+def _mesh_files(path: Path) -> list[Path]:
+    """The mesh files of a folder and its folders, in order; a file is itself."""
+    from xdex_drake.mesh_file import MESH_SUFFIXES
+
+    path = Path(path)
+    if not path.is_dir():
+        return [path]
+    return sorted(p for p in path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """A name that no other mesh of the set has."""
+    free, k = name, 2
+    while free in taken:
+        free, k = f"{name}_{k}", k + 1
+    taken.add(free)
+    return free
+
+
+def _direction(X_WO: "RigidTransform") -> str:
+    return ", ".join(f"{x + 0.0:.2f}" for x in X_WO.rotation().matrix()[2].round(2))
 
 
 def _write_obj(path: Path, vertices: object, faces: object) -> None:
