@@ -46,7 +46,7 @@ def browser_page(
     """
     if not 1 <= len(hands) <= MOST_HANDS:
         raise ConfigError(f"a page shows 1 to {MOST_HANDS} hands, not {len(hands)}; choose some of them")
-    meshcat = start_meshcat()
+    meshcat = start_meshcat(live=False)
     try:
         for k, hand in enumerate(hands):
             _draw(meshcat, f"{_PATH}/{k}", hand)

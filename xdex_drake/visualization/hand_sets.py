@@ -20,11 +20,10 @@ from xdex_drake.scene.plant import build_plant
 from xdex_drake.visualization.pictures import (
     FOV_Y,
     Image,
-    _add_renderer,
-    _camera,
-    _query,
-    _require_rendering,
+    add_renderer,
+    color_image,
     contact_sheet,
+    require_rendering,
 )
 from xdex_drake.visualization.views import frame_blobs, hand_blobs
 
@@ -59,10 +58,10 @@ def hand_picture(
     Raises:
         MissingExtra: This machine cannot render.
     """
-    _require_rendering()
+    require_rendering()
 
     def add(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-        _add_renderer(scene_graph)
+        add_renderer(scene_graph, shadows=False)
 
     q = hand.q_rest if q is None else q
     bench = build_plant(hand, extend=add)
@@ -74,11 +73,7 @@ def hand_picture(
     blobs = hand_blobs(hand, RigidTransform(), q)
     width, height = size
     X_WC = frame_blobs(blobs, toward / np.linalg.norm(toward), fov_y=FOV_Y, aspect=width / height, margin=1.06)
-    scene_graph = bench.scene_graph
-    query = _query(scene_graph, scene_graph.GetMyContextFromRoot(context))
-    image = query.RenderColorImage(_camera(2 * width, 2 * height), scene_graph.world_frame_id(), X_WC)
-    samples = image.data[:, :, :3].reshape(height, 2, width, 2, 3).astype(np.uint16).sum(axis=(1, 3))
-    return ((samples + 2) // 4).astype(np.uint8)
+    return color_image(bench.scene_graph, bench.scene_graph.GetMyContextFromRoot(context), X_WC, size)
 
 
 def hands_sheet(hands: Sequence[Hand], *, columns: int = 8, size: tuple[int, int] = (240, 240)) -> Image:

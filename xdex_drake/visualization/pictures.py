@@ -83,27 +83,52 @@ def _backend() -> str:
     return "EGL" if sys.platform.startswith("linux") else ""
 
 
-def _add_renderer(scene_graph: SceneGraph) -> None:
+def add_renderer(scene_graph: SceneGraph, *, shadows: bool = True) -> None:
+    """Adds the renderer `RENDERER`, with lights, to a scene graph whose diagram is not built yet.
+
+    Args:
+        scene_graph: The scene graph; it grows by the renderer.
+        shadows: Whether what is in front casts shadows; they show what touches what, but are too coarse for a picture
+            of one thing alone.
+    """
     parameters = RenderEngineVtkParams(
         default_clear_color=np.array(CLEAR_COLOR),
         lights=_lights(),
-        cast_shadows=True,
+        cast_shadows=shadows,
         shadow_map_size=2048,
         backend=_backend(),
     )
     scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(parameters))
 
 
-def _query(scene_graph: SceneGraph, context: Context) -> QueryObject:
-    return cast(QueryObject, scene_graph.get_query_output_port().Eval(context))
+def color_image(
+    scene_graph: SceneGraph, context: Context, X_WC: RigidTransform, size: tuple[int, int], *, samples: int = 2
+) -> Image:
+    """Renders what a camera sees in a scene graph that has the renderer `RENDERER`.
+
+    Args:
+        scene_graph: The scene graph.
+        context: Its own context.
+        X_WC: Pose of the camera, z forward and y down.
+        size: Width and height [pixels].
+        samples: Samples of a pixel along each edge; more than one make edges smooth.
+
+    Returns:
+        Red, green and blue, shape (height, width, 3).
+    """
+    width, height = size
+    query = cast(QueryObject, scene_graph.get_query_output_port().Eval(context))
+    camera = _camera(samples * width, samples * height)
+    image = query.RenderColorImage(camera, scene_graph.world_frame_id(), X_WC)
+    summed = image.data[:, :, :3].reshape(height, samples, width, samples, 3).astype(np.uint32).sum(axis=(1, 3))
+    return ((summed + samples**2 // 2) // samples**2).astype(np.uint8)
 
 
 def _probe() -> None:
     """Renders an empty picture; run in a process of its own, since graphics libraries crash rather than raise."""
     scene_graph = SceneGraph()
-    _add_renderer(scene_graph)
-    query = _query(scene_graph, scene_graph.CreateDefaultContext())
-    query.RenderColorImage(_camera(32, 24), scene_graph.world_frame_id(), RigidTransform())
+    add_renderer(scene_graph)
+    color_image(scene_graph, scene_graph.CreateDefaultContext(), RigidTransform(), (32, 24), samples=1)
 
 
 @cache
@@ -116,7 +141,12 @@ def can_render() -> bool:
     return result.returncode == 0
 
 
-def _require_rendering() -> None:
+def require_rendering() -> None:
+    """Refuses to go on where this machine cannot render.
+
+    Raises:
+        MissingExtra: It cannot; the message says what to install.
+    """
     if not can_render():
         raise MissingExtra(
             "pictures cannot be rendered on this machine; install its OpenGL library (Debian and Ubuntu: "
@@ -148,10 +178,10 @@ def make_studio(
     Raises:
         MissingExtra: This machine cannot render.
     """
-    _require_rendering()
+    require_rendering()
 
     def add(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-        _add_renderer(scene_graph)
+        add_renderer(scene_graph)
         if extend is not None:
             extend(builder, plant, scene_graph)
 
@@ -183,11 +213,7 @@ def take_picture(
     bench.set_joints(plant_context, grasp.q)
     bench.set_object(plant_context, grasp.X_WO)
     scene_graph = bench.scene_graph
-    query = _query(scene_graph, scene_graph.GetMyContextFromRoot(studio.context))
-    # Four samples a pixel, for smooth edges.
-    image = query.RenderColorImage(_camera(2 * width, 2 * height), scene_graph.world_frame_id(), X_WC)
-    samples = image.data[:, :, :3].reshape(height, 2, width, 2, 3).astype(np.uint16).sum(axis=(1, 3))
-    return ((samples + 2) // 4).astype(np.uint8)
+    return color_image(scene_graph, scene_graph.GetMyContextFromRoot(studio.context), X_WC, size)
 
 
 def render_grasp(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import html
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -85,11 +86,12 @@ class Replay:
     frames: int
 
 
-def start_meshcat(port: int | None = None) -> Meshcat:
+def start_meshcat(port: int | None = None, *, live: bool = True) -> Meshcat:
     """Starts Meshcat for this computer only, with a light background and without grid and axes.
 
     Args:
         port: Port to listen on; a free one from 7000 on where None.
+        live: Whether somebody will open its address, which Drake then logs; False where only a page is written.
 
     Returns:
         The Meshcat; its address is `web_url()`. Its port is freed with the object.
@@ -97,10 +99,16 @@ def start_meshcat(port: int | None = None) -> Meshcat:
     Raises:
         ConfigError: The port, or every port, is taken.
     """
+    log = logging.getLogger("drake")
+    level = log.level
     try:
+        if not live:
+            log.setLevel(max(level, logging.WARNING))
         meshcat = Meshcat(MeshcatParams(host="localhost", port=port, show_stats_plot=False))
     except RuntimeError as error:
         raise ConfigError(f"Meshcat cannot listen on port {port or '7000 to 7999'}: {error}; choose another") from None
+    finally:
+        log.setLevel(level)
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.98])
     meshcat.SetProperty("/Background", "bottom_color", [0.80, 0.83, 0.87])
     meshcat.SetProperty("/Grid", "visible", False)
@@ -190,7 +198,7 @@ def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
         ConfigError: The grasp has no pre-grasp or no squeeze, or Meshcat finds no free port.
     """
     _require_lift(grasp)
-    meshcat = start_meshcat()
+    meshcat = start_meshcat(live=False)
     try:
         lift, frames = _record(meshcat, grasp, hand, scene, protocol)
         X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)
@@ -329,7 +337,7 @@ def grasp_page(grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[
     Raises:
         ConfigError: There is no grasp, the lengths differ, or Meshcat finds no free port.
     """
-    meshcat = start_meshcat()
+    meshcat = start_meshcat(live=False)
     try:
         draw_grasps(meshcat, grasps, hands, scenes)
         page = _with_card(meshcat.StaticHtml(), *_still_card(grasps, hands, title))

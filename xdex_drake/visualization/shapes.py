@@ -9,27 +9,15 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import (
     GeometryInstance,
     InMemoryMesh,
-    MakeRenderEngineVtk,
     Mesh,
     PerceptionProperties,
-    RenderEngineVtkParams,
     Rgba,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.scene.bodies import OBJECT_COLOR
-from xdex_drake.visualization.pictures import (
-    CLEAR_COLOR,
-    FOV_Y,
-    RENDERER,
-    Image,
-    _backend,
-    _camera,
-    _lights,
-    _query,
-    _require_rendering,
-)
+from xdex_drake.visualization.pictures import FOV_Y, Image, add_renderer, color_image, require_rendering
 
 Array = NDArray[np.float64]
 ELEVATION = 0.45
@@ -53,13 +41,11 @@ def render_shape(vertices: Array, faces: NDArray[np.int64], *, size: tuple[int, 
     Raises:
         MissingExtra: This machine cannot render.
     """
-    _require_rendering()
+    require_rendering()
     mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=0.5)
     text = str(mesh.export(file_type="obj", include_normals=True))
     scene_graph = SceneGraph()
-    # Without shadows, which are too coarse for a shape alone.
-    look = RenderEngineVtkParams(default_clear_color=np.array(CLEAR_COLOR), lights=_lights(), backend=_backend())
-    scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(look))
+    add_renderer(scene_graph, shadows=False)
     shape = Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "shape")))
     instance = GeometryInstance(RigidTransform(), shape, "shape")
     properties = PerceptionProperties()
@@ -73,6 +59,4 @@ def render_shape(vertices: Array, faces: NDArray[np.int64], *, size: tuple[int, 
     right /= np.linalg.norm(right)
     R_WC = RotationMatrix(np.column_stack([right, -np.cross(back, right), -back]))
     X_WC = RigidTransform(R_WC, center + back * 1.05 * radius / np.sin(0.5 * FOV_Y))
-    query = _query(scene_graph, scene_graph.CreateDefaultContext())
-    image = query.RenderColorImage(_camera(*size), scene_graph.world_frame_id(), X_WC)
-    return np.array(image.data[:, :, :3])
+    return color_image(scene_graph, scene_graph.CreateDefaultContext(), X_WC, size, samples=1)
