@@ -3,7 +3,7 @@
 from xdex_drake.cli import main
 
 
-def test_generate_count_check_and_browse(tmp_path, capsys) -> None:
+def test_generate_count_check_and_browse(tmp_path, capsys, caplog) -> None:
     folder = tmp_path / "hands"
     assert main(["hand", "generate", "--count", "3", "--seed", "7", "--out", str(folder), "--workers", "0"]) == 0
     assert "3 hands" in capsys.readouterr().out
@@ -17,13 +17,23 @@ def test_generate_count_check_and_browse(tmp_path, capsys) -> None:
     assert main(["hand", "browse", str(folder), "ability", "g7-0001", "--html", str(page)]) == 0
     assert "5 hands" in capsys.readouterr().out
     assert page.stat().st_size > 1_000_000
+    assert "listening" not in caplog.text  # nobody is to open Meshcat's address
     assert main(["hand", "show", "g7-0001"]) == 0
     assert "variation" in capsys.readouterr().out
+
+
+def test_list_says_how_else_a_hand_is_named(capsys) -> None:
+    assert main(["hand", "list"]) == 0
+    said = capsys.readouterr().out
+    assert "allegro" in said
+    assert "g0-0137" in said
+    assert ".urdf" in said
 
 
 def test_bad_input_is_told_in_one_line(tmp_path, capsys) -> None:
     for words in (
         ["hand", "stats", str(tmp_path)],
+        ["hand", "stats", str(tmp_path), "--sheet", str(tmp_path / "sheet.gif")],
         ["hand", "generate", "--count", "0", "--out", str(tmp_path / "x"), "--workers", "0"],
         ["hand", "browse", "g7-1", "--html", str(tmp_path / "x.html")],
         ["hand", "browse", "--html", str(tmp_path / "x.html")],

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
+PICTURES = {".png": "PNG", ".jpg": "JPEG"}
+
 HandNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND...")]
 
 
@@ -35,13 +37,15 @@ HandNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND...")]
 class HandGenerate:
     """Generates hands: every fifth a human one, the others variations of the five robot hands of the library.
 
-    Hand 137 of seed 0 is named g0-0137; the name alone works wherever a HAND is asked for, with no file. Ctrl-C keeps
-    what is done, and the same command goes on from there. Try `xdex hand generate --count 20 --out hands20`.
+    Robot hands are scaled, lose or gain links and fingers, or have links merged; each hand is checked before it is
+    kept. Hand 137 of seed 0 is named g0-0137, and the name alone works wherever a HAND is asked for, without any file.
+    Ctrl-C keeps what is done, and the same command goes on from there. Try
+    `xdex hand generate --count 20 --out hands20`, then `xdex hand browse hands20`.
 
     Attributes:
-        count: Number of hands.
-        seed: Seed of the set.
-        out: Folder for a .yaml file a hand and index.json.
+        count: Number of hands; a larger set begins with the same hands as a smaller one.
+        seed: Seed of the set; the same seed gives the same files.
+        out: Folder for one .yaml file a hand, and index.json: what each is made of.
         workers: Number of processes.
     """
 
@@ -74,18 +78,19 @@ class HandGenerate:
 
 @dataclass(frozen=True)
 class HandStats:
-    """Counts a folder of hands: sizes, links, joints and topologies.
+    """Counts the hands of a folder by size, links, joints and topology, and draws figures of them.
 
-    Try `xdex hand stats generated_hands --out statistics.png --pictures 48`.
+    A topology is the tree of links without their sizes. Try
+    `xdex hand stats generated_hands --out statistics.png --sheet hands.jpg`.
 
     Attributes:
         folder: A folder of .yaml files, as `xdex hand generate` writes.
-        out: Write the distributions as a .png figure.
-        sheet: Write pictures of hands as a .png contact sheet.
-        pictures: Number of hands on the contact sheet, drawn from the folder.
+        out: Write the distributions as a figure, .png or .jpg.
+        sheet: Write pictures of hands at rest side by side, .png or .jpg.
+        pictures: Number of hands on that sheet, drawn at random, always the same ones.
     """
 
-    folder: tyro.conf.Positional[Path]
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FOLDER")]]
     out: Path | None = None
     sheet: Path | None = None
     pictures: int = 48
@@ -94,7 +99,7 @@ class HandStats:
         """Prints tables, writes figures."""
         for path in (self.out, self.sheet):
             if path is not None:
-                check_output_file(path, ".png")
+                check_output_file(path, path.suffix.lower() if path.suffix.lower() in PICTURES else ".png")
         from xdex_drake.dataset.hand_sets import read_hand_rows
 
         rows = read_hand_rows(self.folder)
@@ -102,7 +107,7 @@ class HandStats:
         if self.out is not None:
             from xdex_drake.visualization.hand_sets import statistics_figure
 
-            _write_png(self.out, statistics_figure(rows))
+            _write_picture(self.out, statistics_figure(rows))
             print(f"\ndistributions: {self.out}")
         if self.sheet is not None:
             from xdex_drake.hand.library import load_hand
@@ -110,20 +115,22 @@ class HandStats:
 
             chosen = _spread(rows, max(1, self.pictures))
             hands = [load_hand(self.folder / f"{row.name}.yaml") for row in chosen]
-            _write_png(self.sheet, hands_sheet(hands))
+            _write_picture(self.sheet, hands_sheet(hands))
             print(f"{len(hands)} pictures: {self.sheet}")
         return 0
 
 
 @dataclass(frozen=True)
 class HandCheck:
-    """Checks hands: inertias, limits, overlaps at rest, whether they can grasp, and a second at rest in Drake.
+    """Checks whether hands are sound: inertias, limits, no overlaps at rest, fingers that oppose each other and close.
 
-    Try `xdex hand check allegro`, or give a folder of hands.
+    Each is also held at rest in Drake and must not move. Every generated hand passes these checks; a hand of your own
+    may grasp well and still fail one, as a gripper of four links does. What is wrong is printed, and the exit status is
+    1 then. Try `xdex hand check allegro my_hand.yaml`, or give a folder of hands.
 
     Attributes:
-        hands: Names, paths, or folders of .yaml files.
-        seconds: Time that each hand is simulated at rest.
+        hands: Names of hands, paths of hand files, or folders of .yaml files.
+        seconds: Time that each hand is simulated at rest [s]; 0 to build it only.
         workers: Number of processes.
     """
 
@@ -154,14 +161,14 @@ class HandCheck:
 
 @dataclass(frozen=True)
 class HandBrowse:
-    """A few dozen hands in Meshcat, one at a time, with a slider for every joint.
+    """Writes a page that shows hands one at a time, with a slider for every joint.
 
-    Try `xdex hand browse allegro g0-0000 g0-0001 --html hands.html`, or give a folder of hands.
+    Open it in a browser; it works offline. Try `xdex hand browse allegro g0-0000 g0-0001`, or give a folder of hands.
 
     Attributes:
-        hands: Names, paths, or folders of .yaml files.
-        html: The page to write; it works offline.
-        most: Greatest number of hands of the page, drawn from those that are given.
+        hands: Names of hands, paths of hand files, or folders of .yaml files.
+        html: The page to write.
+        most: Greatest number of hands on the page; of more, so many are drawn at random.
     """
 
     hands: tyro.conf.Positional[HandNames]
@@ -231,7 +238,7 @@ def _print_statistics(rows: Sequence[HandRow]) -> None:
     print("\n" + table(lines, ("", "least", "median", "greatest")))
 
 
-def _write_png(path: Path, image: object) -> None:
+def _write_picture(path: Path, image: object) -> None:
     """Writes a picture that appears whole or not at all."""
     import os
 
@@ -243,7 +250,7 @@ def _write_png(path: Path, image: object) -> None:
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.asarray(image)).save(partial, format="PNG")
+        Image.fromarray(np.asarray(image)).save(partial, format=PICTURES[path.suffix.lower()], quality=88)
         os.replace(partial, path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None

@@ -24,9 +24,10 @@ HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 
 @dataclass(frozen=True)
 class HandList:
-    """The hands of the library.
+    """The hands of the library, and how else a HAND can be named.
 
-    Their names work wherever a command takes a HAND: `xdex hand list`, then `xdex hand show allegro`.
+    Their names work wherever a command takes a HAND: `xdex hand list`, then `xdex hand show allegro`. So do names of
+    generated hands, as g0-0137, and the path of a hand's file: .yaml, .urdf, .xml (MJCF) or .sdf.
     """
 
     def run(self) -> int:
@@ -39,6 +40,12 @@ class HandList:
             fingers = ", ".join(finger.name for finger in hand.fingers)
             rows.append((name, hand.display_name, hand.side, len(hand.joint_names), len(hand.joints), fingers))
         print(table(rows, ("hand", "name", "side", "actuated", "joints", "fingers")))
+        print(
+            "\nA HAND is also g0-0137 (number 137 of the generated hands of seed 0; any seed and number work), or the"
+        )
+        print(
+            "path of a .yaml, .urdf, .xml (MJCF) or .sdf file, which is imported as it is (`xdex hand import --help`)."
+        )
         return 0
 
 
@@ -108,7 +115,7 @@ class HandView:
         from xdex_drake.visualization.replay import start_meshcat
 
         hand = load_hand(self.hand)
-        meshcat = start_meshcat()
+        meshcat = start_meshcat(live=self.html is None)
         _draw_hand(meshcat, hand)
         if self.html is None:
             return wait_for_enter(meshcat.web_url())
@@ -119,12 +126,12 @@ class HandView:
 
 @dataclass(frozen=True)
 class HandImport:
-    """A hand from a URDF, MJCF or SDFormat file, with no annotation.
+    """Imports a hand from a URDF, MJCF or SDFormat file, with no annotation.
 
     Palm, wrist frame, fingers, fingertips, couplings, shapes, spheres and inertias are found by themselves; what was
-    missing or invalid is mended, and each decision is told. The .yaml file is read like any hand: correct by hand what
-    is wrong in it, and use its path wherever a HAND is asked for. `xdex grasp --hand FILE` also works at once, without
-    this command.
+    missing or invalid is mended. Each choice is printed: "decided" where several would do, "mended" where the file is
+    wrong or silent, "warning" where you should look. The .yaml file that it writes can be corrected with an editor and
+    used wherever a HAND is asked for. To grasp at once, this command is not needed: `xdex grasp --hand hand.urdf ...`.
 
     Meshes are read from the hand's own folder only: that of the file, or the ROS package (marked by package.xml) that
     the file lies in. A xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
@@ -133,10 +140,10 @@ class HandImport:
 
     Attributes:
         file: The file: .urdf, .xml (MJCF or URDF) or .sdf.
-        name: Name of the hand; made from the file's name where not given.
+        name: Name of the hand, as it stands in grasp files; made from the file's name where not given.
         out: Where to write the description, a .yaml file; NAME.yaml in this folder where not given.
         side: Which hand it is, where the file cannot tell.
-        palm: Name of the link that the fingers grow from, where another one was taken.
+        palm: Name of the link that the fingers grow from, where the one that was found is wrong.
         html: Write a page with the hand, a slider for every joint, and each decision.
     """
 
@@ -203,10 +210,11 @@ def _millimetres(p: Array) -> str:
 
 @dataclass(frozen=True)
 class HandExport:
-    """A hand as a URDF file with OBJ meshes, which MuJoCo, Pinocchio, yourdfpy, Drake and others open.
+    """Writes a hand as a URDF file with OBJ meshes, which MuJoCo, Pinocchio, yourdfpy, Drake and others open.
 
-    Joint names, limits, efforts, couplings (mimic) and inertias are the hand's own. The link `wrist` marks the wrist
-    frame, and FINGER_tip the fingertips. Try `xdex hand export allegro --out allegro_urdf`.
+    Joint names, limits, efforts, couplings (mimic) and inertias are the hand's own. The empty link `wrist` marks the
+    wrist frame, to which grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
+    Try `xdex hand export allegro --out allegro_urdf`.
 
     Attributes:
         hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
@@ -228,10 +236,10 @@ class HandExport:
 
 @dataclass(frozen=True)
 class HandMirror:
-    """The left hand of a right one, or the other way round.
+    """Writes the left hand of a right one, or the other way round.
 
-    Joints keep their names and values: the same q gives the mirrored pose. Try
-    `xdex hand mirror allegro --out allegro_left.yaml`.
+    Joints keep their names, limits and values: the same values give the mirrored pose. The result is a hand file like
+    any other. Try `xdex hand mirror allegro --out allegro_left.yaml`, then `xdex hand view allegro_left.yaml`.
 
     Attributes:
         hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
