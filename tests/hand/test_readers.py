@@ -232,6 +232,17 @@ def test_an_mjcf_file_is_read(tmp_path) -> None:
     assert "without joints" in told
 
 
+def test_loops_are_left_open_and_told(tmp_path) -> None:
+    bodies = "".join(f"<body name='{n}'><joint name='j{n}'/><geom size='0.01'/></body>" for n in "ab")
+    connect = "<equality><connect body1='a' body2='b' anchor='0 0 0.1'/></equality>"
+    (tmp_path / "loop.xml").write_text(
+        f"<mujoco><worldbody><body name='base'>{bodies}</body></worldbody>{connect}</mujoco>"
+    )
+    (note,) = read_mjcf(tmp_path / "loop.xml").notes
+    assert "the loop between a and b" in note
+    assert "give the joints that it ties a coupling" in note
+
+
 def test_mujoco_agrees_with_the_reader(tmp_path) -> None:
     mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
     path = write_mjcf(tmp_path)

@@ -458,6 +458,13 @@ class _Reader:
             place = self._complete(element, "main", f"<equality><{element.tag[:40]}>")
             if place.element.get("active", "true") == "false":
                 continue
+            if element.tag in ("connect", "weld"):
+                ends = [place.element.get(key) for key in ("body1", "body2") if place.element.get(key)]
+                between = f"between {' and '.join(ends)} " if len(ends) == 2 else ""
+                self.notes.append(
+                    f"the loop {between}that {place.place} closes is left open: give the joints that it ties a coupling"
+                )
+                continue
             if element.tag != "joint":
                 self.notes.append(f"{place.place} is left out: only couplings of two joints are read")
                 continue
