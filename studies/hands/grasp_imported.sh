@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Grasps by hands as their files have them, with no step in between; writes a line of CSV for each hand and object.
 #   studies/hands/grasp_imported.sh OUT.csv OBJECT[,OBJECT...] HAND_FILE... ; RUN="taskset -c 0" goes before each command
+# imported.csv: the right hands' vendor files with can,box,ball; then, with can alone, allegro_left_hand.urdf of the
+# package example-robot-data 6.0.0 and `xdex hand mirror shadow --out shadow_left.yaml`. Two cores, other work beside it.
 set -u
 table=$1 objects=${2//,/ }
 shift 2
