@@ -29,7 +29,13 @@ def rows_of_object(mesh: str, hand_name: str, protocol_name: str, count: int, bu
     import numpy as np
 
     from xdex_drake.contact.certificate import check_certificate
-    from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, batch_seed, candidates_of_batch
+    from xdex_drake.dataset.synthesis import (
+        SynthesisSettings,
+        Tally,
+        batch_seed,
+        candidates_of_batch,
+        settings_of_batch,
+    )
     from xdex_drake.grasp import Grasp
     from xdex_drake.hand.library import load_hand
     from xdex_drake.programs.grasp_types import approach_axis
@@ -54,8 +60,8 @@ def rows_of_object(mesh: str, hand_name: str, protocol_name: str, count: int, bu
     def found() -> Iterator[Grasp]:
         # Batch after batch until the processor time, that of lifts left out, is used up.
         for batch in itertools.count():
-            seed = batch_seed(0, batch)
-            yield from candidates_of_batch(hand, scene, seed=seed, settings=SynthesisSettings(), tally=tally)
+            settings = settings_of_batch(SynthesisSettings(), batch)
+            yield from candidates_of_batch(hand, scene, seed=batch_seed(0, batch), settings=settings, tally=tally)
             if time.process_time() - begin - lifting > budget_s:
                 return
 

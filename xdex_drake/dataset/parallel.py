@@ -168,14 +168,21 @@ def run_batch(unit: BatchUnit) -> BatchResult:
     """
     import torch
 
-    from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, batch_seed, candidates_of_batch, lift_all
+    from xdex_drake.dataset.synthesis import (
+        SynthesisSettings,
+        Tally,
+        batch_seed,
+        candidates_of_batch,
+        lift_all,
+        settings_of_batch,
+    )
 
     torch.set_num_threads(1)
     request, begin = unit.request, time.perf_counter()
     known = _bench.cache_info().misses
     hand, scene, rig = _bench(request)
     prepared = time.perf_counter()
-    settings = SynthesisSettings(solver=request.solver)
+    settings = settings_of_batch(SynthesisSettings(solver=request.solver), unit.batch)
     tally = Tally()
     found = candidates_of_batch(hand, scene, seed=batch_seed(request.seed, unit.batch), settings=settings, tally=tally)
     grasps: list[Grasp] = []
