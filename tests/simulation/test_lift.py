@@ -152,3 +152,17 @@ def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, sce
 
 def test_a_hand_that_holds_the_object_has_no_straight_way(grasps, hand, scene):
     assert straight_approach(hand, scene, grasps[0].X_WH, grasps[0].q_squeeze) is None
+
+
+def test_hydroelastic_contact_lifts_the_same_grasp(hand, scene, grasps, verdicts):
+    lifted = next(grasp for grasp, verdict in zip(grasps, verdicts, strict=False) if verdict.success)
+    protocol = replace(LIFT, plant=replace(LIFT.plant, hydroelastic_modulus=1e7))
+    verdict = simulate_lift(lift_rig(hand, scene, protocol=protocol), lifted)
+    assert verdict.success and len(verdict.fingertips) >= 2
+
+
+def test_a_finished_grasp_has_a_straight_approach(grasps, hand, scene):
+    for grasp in grasps:
+        way = straight_approach(hand, scene, grasp.X_WH_pregrasp, grasp.q_pregrasp)
+        assert way is not None and way.clearance >= 2e-3
+        assert np.linalg.norm(way.direction_W) == pytest.approx(1.0)

@@ -265,7 +265,7 @@ class LiftCommand:
         one_thread()
         check_output_file(self.out, ".parquet")
         from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps
-        from xdex_drake.dataset.parallel import LiftUnit, in_order, run_lift
+        from xdex_drake.dataset.parallel import LiftUnit, in_order, lost_lift, run_lift
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.dataset.store import write_grasps
         from xdex_drake.errors import ConfigError
@@ -295,7 +295,9 @@ class LiftCommand:
         rows = []
         tallies: dict[tuple[str, str], list] = {}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
-            for unit, verdict in in_order(units, run_lift, workers=0 if self.workers <= 1 else self.workers):
+            for unit, verdict in in_order(
+                units, run_lift, workers=0 if self.workers <= 1 else self.workers, lost=lost_lift
+            ):
                 row = stored[unit.index].row
                 tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
                 tally[0] += 1

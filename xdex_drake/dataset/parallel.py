@@ -347,16 +347,38 @@ def run_lift(unit: LiftUnit) -> Lift:
     return lift(unit.grasp, hand, scene, protocol=protocol)
 
 
-def in_order(units: Sequence[Unit], work: Callable[[Unit], Value], *, workers: int) -> Iterator[tuple[Unit, Value]]:
+def lost_lift(unit: LiftUnit, failure: str) -> Lift:
+    """The verdict of a lift whose process crashed or took too long: it failed.
+
+    Args:
+        unit: The lift.
+        failure: What happened to it.
+
+    Returns:
+        The verdict.
+    """
+    reason = "timeout" if failure.startswith("timeout") else "simulation_failed"
+    name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
+    return Lift(name, False, reason, float("nan"), (), 0.0)
+
+
+def in_order(
+    units: Sequence[Unit],
+    work: Callable[[Unit], Value],
+    *,
+    workers: int,
+    lost: Callable[[Unit, str], Value] | None = None,
+) -> Iterator[tuple[Unit, Value]]:
     """Runs work on each unit and gives the results in the order of the units.
 
     Args:
         units: The units.
         work: A function at the top level of a module.
-        workers: Number of processes; 0 works in this one.
+        workers: Number of processes; 0 works in this one, where a crash ends everything.
+        lost: Gives the result of a unit whose process crashed or took too long; they are left out where None.
 
     Yields:
-        Each unit with its result; units whose process crashed are left out, with a warning.
+        Each unit with its result; units that were lost are told by a warning.
 
     Raises:
         RuntimeError: The work met a bug; the message holds its traceback.
@@ -374,6 +396,8 @@ def in_order(units: Sequence[Unit], work: Callable[[Unit], Value], *, workers: i
                     if ready.trace:
                         raise RuntimeError(f"unit {position - 1}:\n{ready.trace}")
                     _log.warning("unit %d: %s", position - 1, ready.failure)
+                    if lost is not None:
+                        yield ready.unit[1], lost(ready.unit[1], ready.failure)
                     continue
                 yield ready.unit[1], cast("Value", ready.value)
     finally:

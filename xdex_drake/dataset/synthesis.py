@@ -24,7 +24,7 @@ from xdex_drake.scene.distance import sample_surface
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
-from xdex_drake.simulation.pregrasp import pregrasp, squeeze_targets
+from xdex_drake.simulation.pregrasp import pregrasp, squeeze_targets, straight_approach
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 _log = logging.getLogger(__name__)
@@ -90,7 +90,7 @@ class Outcome:
     Attributes:
         grasp: The certified grasp, None where there is none.
         reason: Why there is none: the constraint that could not be met, "certificate: ...", "task margin",
-            "penetration" or "pregrasp".
+            "penetration", "pregrasp" (no clearance), or "approach" (no straight way of 10 cm to the pre-grasp).
     """
 
     grasp: Grasp | None
@@ -193,6 +193,8 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     opened = pregrasp(hand, scene, k.X_WH, k.q)
     if opened.clearance < 1e-3:
         return Outcome(None, "pregrasp")
+    if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
+        return Outcome(None, "approach")
     grasp = Grasp(
         hand=hand.name,
         object=obj.name,

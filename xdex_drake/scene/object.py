@@ -22,7 +22,7 @@ from xdex_drake.scene.convex_parts import (
 )
 from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
 from xdex_drake.scene.generator import generated_mesh, is_shape_name
-from xdex_drake.scene.mesh import clean_mesh, read_mesh
+from xdex_drake.scene.mesh import TriangleMesh, clean_mesh, read_mesh
 from xdex_drake.scene.procedural import list_objects, procedural_mesh
 
 Array = NDArray[np.float64]
@@ -32,6 +32,9 @@ _log = logging.getLogger(__name__)
 GRID_RECIPE = 3  # Raise whenever the way to the grid changes: it is part of the cache's key.
 LIKELY_BODIES = 30
 """A mesh of more bodies is hardly one of an object: its split gets less time."""
+
+LIKELY_WALL = 2e-3
+"""Least mean thickness, 2 volume / area, of a likely closed mesh [sizes]; one that runs through itself has less."""
 
 DEFAULT_MASS = 0.1
 DEFAULT_FRICTION = 0.6
@@ -199,7 +202,7 @@ def load_object(
         path = Path(name_or_path)
         mesh, name = read_mesh(path, scale=scale), path.stem
     try:
-        convex = convex_parts(mesh.vertices, mesh.faces, likely=mesh.bodies <= LIKELY_BODIES)
+        convex = convex_parts(mesh.vertices, mesh.faces, likely=_is_likely(mesh))
     except ObjectFileError as error:
         raise ObjectFileError(f"{name_or_path}: {error}") from None
     body, source = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), "mesh"
@@ -245,6 +248,15 @@ def load_object(
         digest=mesh_digest(mesh.vertices, mesh.faces),
         report=report,
     )
+
+
+def _is_likely(mesh: TriangleMesh) -> bool:
+    """Whether a mesh looks like one of an object: few bodies and, if it is closed, something inside."""
+    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    hollow = mesh.watertight and 2.0 * body.volume < LIKELY_WALL * float(
+        body.area * np.ptp(mesh.vertices, axis=0).max()
+    )
+    return mesh.bodies <= LIKELY_BODIES and not hollow
 
 
 def _surface_radius(vertices: Array, faces: Faces, center: Array) -> float:

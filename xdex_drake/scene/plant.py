@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddRigidHydroelasticProperties,
+    ProximityProperties,
+    RoleAssign,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
@@ -30,6 +36,9 @@ from xdex_drake.hand.plant import add_hand
 from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.tabletop import Scene
 
+RESOLUTION_M = 5e-3
+"""Edge of the triangles of round hydroelastic surfaces [m]."""
+
 
 @dataclass(frozen=True)
 class PlantSettings:
@@ -43,6 +52,8 @@ class PlantSettings:
         kd: Derivative gain of every finger joint [N m s/rad].
         carriage_kp: Proportional gain of the carriage that carries the wrist [N/m].
         carriage_kd: Derivative gain of the carriage [N s/m].
+        hydroelastic_modulus: Modulus of the hand's surface [Pa] where hand and object touch hydroelastically, with the
+            object rigid: patches of pressure instead of points, at several times the cost. None for point contact.
     """
 
     time_step: float = 0.005
@@ -52,6 +63,7 @@ class PlantSettings:
     kd: float = 0.1
     carriage_kp: float = 1e4
     carriage_kd: float = 6e2
+    hydroelastic_modulus: float | None = None
 
 
 @dataclass(frozen=True)
@@ -150,7 +162,8 @@ def build_plant(
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=settings.time_step)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
-    plant.set_contact_model(ContactModel.kPoint)
+    modulus = settings.hydroelastic_modulus
+    plant.set_contact_model(ContactModel.kPoint if modulus is None else ContactModel.kHydroelasticWithFallback)
     instance = add_hand(
         plant,
         hand,
@@ -183,6 +196,8 @@ def build_plant(
     if scene is not None:
         object_body = add_object(plant, scene.object, point_stiffness=settings.point_stiffness, X_WO=scene.X_WO)
         add_table(plant, settings.friction, [object_body], point_stiffness=settings.point_stiffness)
+        if modulus is not None:
+            _make_hydroelastic(plant, scene_graph, links, object_body, modulus)
     plant.Finalize()
     if extend is not None:
         extend(builder, plant, scene_graph)
@@ -198,3 +213,21 @@ def build_plant(
         tuple(slides),
         mount,
     )
+
+
+def _make_hydroelastic(
+    plant: MultibodyPlant, scene_graph: SceneGraph, links: Sequence[RigidBody], object_body: RigidBody, modulus: float
+) -> None:
+    """Gives the hand a compliant surface and the object's parts a rigid one; feet and table keep point contact."""
+    inspector, source = scene_graph.model_inspector(), plant.get_source_id()
+    assert source is not None
+    for body in (*links, object_body):
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            if "_foot_" in inspector.GetName(geometry):
+                continue
+            properties = ProximityProperties(inspector.GetProximityProperties(geometry))
+            if body is object_body:
+                AddRigidHydroelasticProperties(RESOLUTION_M, properties)
+            else:
+                AddCompliantHydroelasticProperties(RESOLUTION_M, modulus, properties)
+            scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)

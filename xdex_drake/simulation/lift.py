@@ -175,11 +175,18 @@ def _touching(bench: ScenePlant, context: Context) -> _Touch:
     """Contacts of the last step of the simulation."""
     results: Any = bench.plant.get_contact_results_output_port().Eval(context)
     infos = (results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts()))
-    return _sort_touches(bench, ((info.bodyA_index(), info.bodyB_index()) for info in infos))
+    pairs = [(info.bodyA_index(), info.bodyB_index()) for info in infos]
+    if results.num_hydroelastic_contacts():
+        body_of = _body_of(bench, context)
+        surfaces = (
+            results.hydroelastic_contact_info(k).contact_surface() for k in range(results.num_hydroelastic_contacts())
+        )
+        pairs += [(body_of(surface.id_M()), body_of(surface.id_N())) for surface in surfaces]
+    return _sort_touches(bench, pairs)
 
 
-def _touching_at_rest(bench: ScenePlant, context: Context, depth: float = 0.0) -> _Touch:
-    """Contacts of the configuration as it stands and at least as deep as given, from geometry alone."""
+def _body_of(bench: ScenePlant, context: Context) -> Callable[[GeometryId], BodyIndex]:
+    """Finds the body of a geometry."""
     query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
     frame_of = query.inspector().GetFrameId
 
@@ -188,6 +195,13 @@ def _touching_at_rest(bench: ScenePlant, context: Context, depth: float = 0.0) -
         assert found is not None
         return found.index()
 
+    return body
+
+
+def _touching_at_rest(bench: ScenePlant, context: Context, depth: float = 0.0) -> _Touch:
+    """Contacts of the configuration as it stands and at least as deep as given, from geometry alone."""
+    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
+    body = _body_of(bench, context)
     pairs = (p for p in query.ComputePointPairPenetration() if p.depth >= depth)
     return _sort_touches(bench, ((body(p.id_A), body(p.id_B)) for p in pairs))
 
