@@ -459,7 +459,7 @@ class _Reader:
             if place.element.get("active", "true") == "false":
                 continue
             if element.tag in ("connect", "weld"):
-                ends = [place.element.get(key) for key in ("body1", "body2") if place.element.get(key)]
+                ends = [name for key in ("body1", "body2") if (name := place.element.get(key))]
                 between = f"between {' and '.join(ends)} " if len(ends) == 2 else ""
                 self.notes.append(
                     f"the loop {between}that {place.place} closes is left open: give the joints that it ties a coupling"
