@@ -34,12 +34,15 @@ if TYPE_CHECKING:
     from xdex_drake.programs.program import GraspProgram
     from xdex_drake.programs.retargeting import retargeting_program
     from xdex_drake.programs.solve import ProgramResult, solve
+    from xdex_drake.scene.camera import camera_poses, can_see, depth_cloud
     from xdex_drake.scene.object import ObjectModel, load_object
     from xdex_drake.scene.plant import build_plant
     from xdex_drake.scene.procedural import list_objects
-    from xdex_drake.scene.tabletop import Scene, make_scene, point_cloud
+    from xdex_drake.scene.tabletop import Scene, make_scene, point_cloud, random_scene, stable_poses
     from xdex_drake.simulation.lift import lift
-    from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+    from xdex_drake.simulation.pregrasp import straight_approach
+    from xdex_drake.simulation.protocol import LIFT, LiftProtocol, find_protocol, with_physics
+    from xdex_drake.simulation.robust import RobustLift, robust_lift
     from xdex_drake.visualization.hand_browser import browser_page
     from xdex_drake.visualization.hand_sets import hands_sheet
     from xdex_drake.visualization.import_page import import_page
@@ -75,12 +78,15 @@ _MODULES = {
     "programs.program": ("GraspProgram",),
     "programs.retargeting": ("retargeting_program",),
     "programs.solve": ("ProgramResult", "solve"),
+    "scene.camera": ("camera_poses", "can_see", "depth_cloud"),
     "scene.object": ("ObjectModel", "load_object"),
     "scene.plant": ("build_plant",),
     "scene.procedural": ("list_objects",),
-    "scene.tabletop": ("Scene", "make_scene", "point_cloud"),
+    "scene.tabletop": ("Scene", "make_scene", "point_cloud", "random_scene", "stable_poses"),
     "simulation.lift": ("lift",),
-    "simulation.protocol": ("LIFT", "LiftProtocol"),
+    "simulation.pregrasp": ("straight_approach",),
+    "simulation.protocol": ("LIFT", "LiftProtocol", "find_protocol", "with_physics"),
+    "simulation.robust": ("RobustLift", "robust_lift"),
     "visualization.hand_browser": ("browser_page",),
     "visualization.hand_sets": ("hands_sheet",),
     "visualization.import_page": ("import_page",),
@@ -105,6 +111,7 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "PaddedHands",
     "ProgramResult",
     "Residuals",
+    "RobustLift",
     "Scene",
     "StoredGrasp",
     "Tally",
@@ -115,10 +122,14 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "ball_margin",
     "browser_page",
     "build_plant",
+    "camera_poses",
+    "can_see",
     "certify",
     "check_certificate",
     "check_hand",
+    "depth_cloud",
     "export_urdf",
+    "find_protocol",
     "finish_grasp",
     "force_closure_program",
     "generated_hand",
@@ -142,20 +153,25 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "mirror",
     "point_cloud",
     "polish_program",
+    "random_scene",
     "remove_finger",
     "render_grasp",
     "replace_tip",
     "replay_lift",
     "retarget",
     "retargeting_program",
+    "robust_lift",
     "sample_shape",
     "save_grasps",
     "scale_hand",
     "solve",
     "solve_problem",
+    "stable_poses",
+    "straight_approach",
     "synthesize",
     "task_margin",
     "view_live",
+    "with_physics",
 ]
 
 

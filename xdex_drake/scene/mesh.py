@@ -30,7 +30,10 @@ UNITS = ((LARGEST_M, 1.0, "metres"), (30.0, 0.01, "centimetres"), (3000.0, 0.001
 """Greatest extent [file units] at which a unit is guessed, its factor to metres, and its name."""
 
 HOLE_SHARE = 0.02
-"""Holes up to this share of the surface's area are filled; a surface with greater ones is open."""
+"""Holes up to this share of the surface's area are filled."""
+
+OPEN_SHARE = 0.05
+"""A surface with holes of more than this share of its area is open: a shell without a thickness."""
 
 MOST_SHEETS = 10
 """Greatest number of open surfaces that are taken as shells."""
@@ -254,10 +257,10 @@ def _clustered(vertices: Array, faces: Faces, most: int) -> tuple[Array, Faces]:
 
 
 def _is_open(mesh: trimesh.Trimesh) -> bool:
-    """Whether a surface has holes as large as one round hole of more than `HOLE_SHARE` of its area."""
+    """Whether a surface has holes as large as one round hole of `OPEN_SHARE` of its area."""
     edges = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
     length = float(np.linalg.norm(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]], axis=1).sum())
-    return length**2 > 4.0 * math.pi * HOLE_SHARE * mesh.area
+    return length**2 > 4.0 * math.pi * OPEN_SHARE * mesh.area
 
 
 def _with_wall(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
