@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+import torch
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from xdex_drake.errors import ConfigError
+from xdex_drake.hand.batched_kinematics import BatchedHand
 from xdex_drake.hand.kinematics import Configuration, forward_kinematics
 from xdex_drake.hand.library import load_hand
 from xdex_drake.programs.force_closure import PolishSettings, force_closure_program, program_of_candidate
-from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_points
+from xdex_drake.programs.inverse_kinematics import PointTargets, _LinkMoments, keypoint_targets, solve_points
 from xdex_drake.programs.link_pose_ik import link_pose_ik
 from xdex_drake.programs.retargeting import corresponding_fingers
-from xdex_drake.programs.search import search
+from xdex_drake.programs.search import random_rotations, search
 from xdex_drake.programs.solve import judge, solve
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
@@ -161,3 +163,48 @@ def test_tighter_friction_asks_for_more(allegro, can_scene, solved):
     nc = len(point.contacts.spheres)
     wide, narrow = cone_block(nc, 0.6), cone_block(nc, 0.6 * PolishSettings().friction_fraction)
     assert wide.violation(point) <= narrow.violation(point)
+
+
+@pytest.mark.parametrize("name", ["ability", "schunk_svh"])
+def test_normal_equations_by_moments_are_those_of_the_jacobian(name):
+    hand, rng = load_hand(name), np.random.default_rng(2)
+    links = rng.integers(0, len(hand.links), size=30)
+    targets = PointTargets(
+        links, rng.normal(scale=0.03, size=(30, 3)), rng.normal(size=(4, 30, 3)), rng.uniform(0.5, 2.0, size=30)
+    )
+    batched = BatchedHand(hand, dtype=torch.float64)
+    R = torch.as_tensor(random_rotations(rng, 4))
+    q = torch.as_tensor(rng.uniform(*hand.limits, size=(4, len(hand.q_rest))))
+    poses = batched.forward(R, torch.as_tensor(rng.normal(size=(4, 3))), q)
+    points = batched.points(poses, torch.as_tensor(links), torch.as_tensor(targets.p_LPs))
+    error = points - torch.as_tensor(targets.p_WPs)
+    J, w = batched.jacobian(poses, torch.as_tensor(links), points), torch.as_tensor(targets.weights)
+    H, g = _LinkMoments(batched, targets, torch.as_tensor).normal_equations(poses, error.transpose(1, 2))
+    assert torch.allclose(H, torch.einsum("m,bmki,bmkj->bij", w, J, J), atol=1e-11)
+    assert torch.allclose(g, torch.einsum("m,bmki,bmk->bi", w, J, error), atol=1e-11)
+
+
+def test_one_pose_and_a_batch_of_two_come_to_the_same():
+    hand, rng = load_hand("inspire"), np.random.default_rng(0)
+    R_WH, p_WH = random_rotations(rng, 1)[0], np.array([0.1, 0.0, 0.2])
+    links = np.array([hand.link_index[finger.tip_link] for finger in hand.fingers] + [0, 0, 0])
+    p_LPs = np.concatenate([[finger.p_LTip for finger in hand.fingers], 0.03 * np.eye(3)])
+    goal = Configuration.at(
+        hand, RigidTransform(RotationMatrix.ProjectToRotationMatrix(R_WH), p_WH), hand.limits.mean(axis=0)
+    )
+    targets = PointTargets(links, p_LPs, goal.points(links, p_LPs)[None], np.ones(len(links)))
+    start = (R_WH[None], p_WH[None] + 0.02, hand.q_rest[None])
+    one = solve_points(hand, targets, *start)
+    two = solve_points(hand, targets, *(np.concatenate([value, value]) for value in start))
+    assert one.errors[0] < 1e-5 and np.all(two.errors < 1e-5)
+    assert np.allclose(one.p_WHs[0], two.p_WHs[0], atol=1e-4)
+
+
+def test_a_point_far_from_the_start_is_held_to_all_spheres(allegro, can_scene, found):
+    program = program_of_candidate(allegro, can_scene, found, 0)
+    rows = {block.name: len(block.lower) for block in program.constraints}
+    down = np.zeros(program.start.size)
+    down[5] = -0.2
+    violations, worst = judge(program, program.start.moved(down))
+    # Most spheres are far from the table at the start, and the program has no rows for them.
+    assert rows["table"] < len(allegro.spheres) and violations["table"] > 50.0 and worst

@@ -19,7 +19,7 @@ from xdex_drake.programs.link_pose_ik import link_pose_ik_program
 from xdex_drake.programs.obstacles import Obstacle, find_obstacles, in_words
 from xdex_drake.programs.problems import Problem, force_closure_programs, load_problem, problem_scene
 from xdex_drake.programs.program import GraspProgram
-from xdex_drake.programs.retargeting import retargeting_program
+from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.programs.solve import ProgramResult, most_violated, solve
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.lift import lift
@@ -57,7 +57,7 @@ class Solution:
 
 
 def solve_problem(problem: Problem | str | Path) -> Solution:
-    """Solves a problem: its starts in turn, best first, until one is solved and certified.
+    """Solves a problem: its starts in turn, best first, until one reaches the problem's goals.
 
     Where an obstacle is proven before, only the first start is tried, to show what it leaves violated.
 
@@ -65,7 +65,8 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
         problem: The problem, its name, or the path of its file.
 
     Returns:
-        The solution; where no start was solved, that of the start whose worst violation was least.
+        The solution that misses the fewest goals; where none was certified, that of the start whose worst violation
+        was least.
 
     Raises:
         XdexError: The problem, its hand or its object cannot be used, or its source problem has no solution.
@@ -79,18 +80,28 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
     if obstacles:
         programs = itertools.islice(programs, 1)
     attempts: list[tuple[GraspProgram, ProgramResult]] = []
-    grasp, reason = None, ""
+    best: tuple[int, GraspProgram, ProgramResult, Grasp] | None = None
+    reason = ""
     for program in programs:
         result = solve(program, solver=problem.solver)
         attempts.append((program, result))
         if not result.success:
             continue
         outcome = finish_grasp(hand, result.point)
-        grasp, reason = outcome.grasp, outcome.reason
-        if grasp is not None:
-            grasp = replace(grasp, grasp_id=problem.name, lift=lift(grasp, hand, scene))
+        reason = outcome.reason
+        if outcome.grasp is None:
+            continue
+        grasp = replace(outcome.grasp, grasp_id=problem.name, lift=lift(outcome.grasp, hand, scene))
+        misses = len(problem.reaches.missed(result, grasp, obstacles))
+        if best is None or misses < best[0]:
+            best = misses, program, result, grasp
+        if misses == 0:
             break
-    program, result = attempts[-1] if grasp is not None else min(attempts, key=lambda attempt: _badness(attempt[1]))
+    if best is not None:
+        _, program, result, grasp = best
+    else:
+        program, result = min(attempts, key=lambda attempt: _badness(attempt[1]))
+        grasp = None
     violated = most_violated([result for _, result in attempts])
     missed = problem.reaches.missed(result, grasp, obstacles)
     why = "" if grasp is not None else _reason(obstacles, reason or result.worst)
@@ -103,7 +114,10 @@ def _reason(obstacles: tuple[Obstacle, ...], rejected: str) -> str:
 
 
 def problem_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterator[GraspProgram]:
-    """The programs of a problem: one for each start of its search, best first, or the one from its source.
+    """The programs of a problem, one for each of its starts.
+
+    Those of a search come best first. Retargeting has two starts: by keypoints alone, and after a short descent from
+    there. Link poses are drawn anew for each start, as a model draws them.
 
     Args:
         problem: The problem.
@@ -118,15 +132,15 @@ def problem_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterator[Gra
     """
     if problem.program == "force_closure":
         return force_closure_programs(problem, hand, scene)
-    return iter([_program_from_source(problem, hand, scene)])
+    return _programs_from_source(problem, hand, scene)
 
 
 def _badness(result: ProgramResult) -> float:
     return max(result.violations.values(), default=0.0) if result.worst else 0.0
 
 
-def _program_from_source(problem: Problem, hand: Hand, scene: Scene) -> GraspProgram:
-    """The program of a problem that starts from the solution of another."""
+def _programs_from_source(problem: Problem, hand: Hand, scene: Scene) -> Iterator[GraspProgram]:
+    """The programs of a problem that starts from the solution of another."""
     assert problem.source is not None
     beside = problem.path.parent / problem.source
     source = solve_problem(load_problem(beside if beside.suffix else problem.source))
@@ -135,11 +149,15 @@ def _program_from_source(problem: Problem, hand: Hand, scene: Scene) -> GraspPro
             f"{problem.path}: source {problem.source} has no solution ({source.reason}); mend it first"
         )
     if problem.program == "retargeting":
-        return retargeting_program(source.grasp, source.hand, hand, scene, settings=problem.polish)
+        yield retargeting_program(source.grasp, source.hand, hand, scene, settings=problem.polish)
+        start = refined_start(source.grasp, source.hand, hand, scene)
+        yield retargeting_program(source.grasp, source.hand, hand, scene, start=start, settings=problem.polish)
+        return
     if source.hand.name != hand.name:
         raise ProblemFileError(f"{problem.path}: source {problem.source} has another hand; link poses need the same")
     R_WLs, p_WLs = forward_kinematics(hand, source.grasp.X_WH, source.grasp.q)
     R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
-    noise = problem.jitter * np.random.default_rng(problem.seed).standard_normal(p_WLs.shape)
-    R = R_WLs @ np.swapaxes(R_HLs, 1, 2)
-    return link_pose_ik_program(hand, scene, R, p_WLs + noise, settings=problem.polish)
+    R, rng = R_WLs @ np.swapaxes(R_HLs, 1, 2), np.random.default_rng(problem.seed)
+    for _ in range(problem.starts):
+        noise = problem.jitter * rng.standard_normal(p_WLs.shape)
+        yield link_pose_ik_program(hand, scene, R, p_WLs + noise, settings=problem.polish)

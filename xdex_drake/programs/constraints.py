@@ -38,8 +38,9 @@ class Block:
         unit: Unit of the rows, for tables.
         meaning: One line for tables.
         inner: Rows g >= 0 that imply this block and that a linearisation sees better, for the sequential solver; None
-            where
-            `evaluate` serves.
+            where `evaluate` serves.
+        whole: Greatest violation of all rows there could be, where the block holds only those that matter near the
+            start: a solver that goes far must not pass through what it left out. None where it holds all.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Block:
     unit: str
     meaning: str
     inner: Callable[[Point], tuple[Array, Array]] | None = None
+    whole: Callable[[Point], float] | None = None
 
     def at(self, point: Point) -> tuple[Array, Array]:
         """What `evaluate` gives, computed once for a point: solvers ask for values first and for derivatives later."""
@@ -67,7 +69,9 @@ class Block:
         return g, J, np.zeros(len(g)), np.full(len(g), np.inf)
 
     def violation(self, point: Point) -> float:
-        """Greatest violation of a row at a point, in the block's unit."""
+        """Greatest violation of a row at a point, in the block's unit; of the whole block, where it is part of one."""
+        if self.whole is not None:
+            return self.whole(point)
         g, _ = self.at(point)
         return float(np.max(np.maximum(self.lower - g, g - self.upper), initial=0.0))
 

@@ -94,6 +94,26 @@ def near_self_pairs(hand: Hand, k: Configuration, reach: float = 0.03) -> NDArra
     return pairs[gap < reach]
 
 
+def _short(gaps: Array, least: float | Array) -> float:
+    """By how much the smallest gap falls short [mm]."""
+    return constraints.MM * float(np.max(least - gaps, initial=0.0))
+
+
+def _depth_in_object(point: Point, clearance: float) -> float:
+    """By how much spheres that are no contacts come too near to the object [mm]."""
+    near, gaps, _ = point.object_distances
+    rows = ~np.isin(near, point.contacts.spheres)
+    touching = np.isin(point.k.hand.sphere_links[near[rows]], point.contacts.links)
+    return _short(gaps[rows], np.where(touching, 0.0, clearance))
+
+
+def _self_gaps(point: Point) -> Array:
+    """Gaps of all pairs of spheres of links that must stay apart [m]."""
+    pairs, radii = sphere_pairs(point.k.hand), point.k.hand.spheres[:, 3]
+    between = point.centers_W[pairs[:, 0]] - point.centers_W[pairs[:, 1]]
+    return np.sqrt(np.einsum("ka,ka->k", between, between)) - radii[pairs[:, 0]] - radii[pairs[:, 1]]
+
+
 def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constraints.Block, ...]:
     """The constraints that every grasp program shares: contact, clearances, joint limits, pads.
 
@@ -115,9 +135,18 @@ def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constrai
     pads = np.array([slots[f].n_LPad for f in contacts.fingers])
     return (
         constraints.contact_block(len(contacts.spheres)),
-        constraints.object_block(others, np.where(touching, 0.0, settings.clearance)),
-        constraints.table_block(low, settings.table_clearance),
-        constraints.self_block(near_self_pairs(hand, start.k), settings.self_clearance),
+        replace(
+            constraints.object_block(others, np.where(touching, 0.0, settings.clearance)),
+            whole=lambda point: _depth_in_object(point, settings.clearance),
+        ),
+        replace(
+            constraints.table_block(low, settings.table_clearance),
+            whole=lambda point: _short(point.centers_W[:, 2] - hand.spheres[:, 3], settings.table_clearance),
+        ),
+        replace(
+            constraints.self_block(near_self_pairs(hand, start.k), settings.self_clearance),
+            whole=lambda point: _short(_self_gaps(point), settings.self_clearance),
+        ),
         constraints.limit_block(hand.limits),
         constraints.pad_block(pads, settings.pad_cosine),
     )

@@ -126,7 +126,8 @@ class Problem:
         scene_seed: Choice of the object's stable pose.
         solver: Solver of the program.
         seed: Seed of the search.
-        starts: Candidates of the search; they are polished best first until one is solved.
+        starts: Candidates of the search, or draws of noisy link poses; they are polished in turn, those of a search
+            best first, until one reaches the goals.
         contacts: Greatest number of fingers that touch.
         grasp_type: Type of grasp: any, pinch, tripod or power.
         approach: Direction that the palm shall come along, in W; [0, 0, -1] is from above; any where it is left out.

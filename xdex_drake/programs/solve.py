@@ -106,7 +106,11 @@ def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
         Violation by name, in the block's unit, and the name of the worst; empty where all hold.
     """
     violations = {block.name: block.violation(point) for block in program.constraints}
-    relative = {block.name: violations[block.name] / TOLERANCES[block.unit] for block in program.constraints}
+    # A value that is no number holds nothing.
+    relative = {
+        block.name: np.nan_to_num(violations[block.name] / TOLERANCES[block.unit], nan=np.inf)
+        for block in program.constraints
+    }
     worst = max(relative, key=lambda name: relative[name], default="")
     return violations, worst if worst and relative[worst] > 1.0 else ""
 
