@@ -120,5 +120,5 @@ print("failed_lift.html:", Path("failed_lift.html").stat().st_size // 1000, "kB"
 # Other protocols ask other things: `xd.find_protocol("bench-lift")` bounds how far the object turns in the hand, and
 # `frogger-lift` shakes it.
 #
-# **Exercise.** Find by bisection the least friction at which this grasp lifts, and compare it with the least one at which
+# **Exercise.** Find by bisection the least friction at which this grasp lifts, and compare it with the least at which
 # the certificate can still be given (`xd.certify` with a smaller `mu`). Which of the two is smaller, and why may it be?
