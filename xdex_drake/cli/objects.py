@@ -172,6 +172,8 @@ class ObjectImport:
                     )
                     index.append((name, target.name, str(path), *facts_of, "; ".join(report.repairs)))
                     told += [f"{name}: {repair}" for repair in report.repairs]
+                    if bulge > MOST_BULGE_MM:
+                        told.append(f"{name}: its parts stand out of the mesh by {bulge:.2f} mm (p99)")
                 bar.update()
         if rows:
             print(table(rows, ("object", "scale", "parts", "bulge p99 [mm]", "seconds", "repairs", "file")))
@@ -186,6 +188,9 @@ class ObjectImport:
             raise ConfigError(" | ".join(refused))
         return interruption.status(0)
 
+
+MOST_BULGE_MM = 1.0
+"""Meshes whose parts bulge more are named at import."""
 
 INDEX_COLUMNS = (
     *("name", "file", "source", "scale", "x_m", "y_m", "z_m", "triangles", "closed", "parts", "bulge_p99_mm"),
