@@ -11,16 +11,20 @@
 #
 # What does it mean that contacts hold an object? This tutorial builds the answer from friction cones: the grasp matrix,
 # the least forces that balance gravity (beside a reference in cvxpy), and the margin that says how much more the grasp
-# resists. No hand is needed, only contact points on a ball. Needs cvxpy (`pip install 'xdex_drake[reference]'`).
+# resists. No hand is needed, only contact points on a ball. Needs cvxpy (`pip install 'xdex_drake[reference]'`) and
+# matplotlib.
 
 # %%
 import cvxpy as cp
+import matplotlib.pyplot as plt
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from xdex_drake.contact import (
     balance,
     ball_margin,
     contact_frames,
+    epsilon_linearized,
     grasp_matrix,
     gravity_wrench,
     in_cone,
@@ -118,5 +122,62 @@ assert ball.upper <= reach.min() + 1e-9 and pinch.upper < 1e-6
 # Random directions come near the margin but stay above it: six dimensions are hard to fill. A pinch has margin 0 and
 # still lifts things every day, which is why the library's programs ask for the task margin, not for the ball.
 #
+# ## Ferrari and Canny, seen in three dimensions
+#
+# Ferrari and Canny (1992) take W as the convex hull of finitely many wrenches, the edges of a pyramid in each friction
+# cone; their quality is the distance from 0 to its nearest facet. W has six dimensions, but its slice at zero torque
+# has three: the pure forces that the grasp can exert. Along a direction u the hull reaches until the first of its
+# facets n . w <= d, which is a ray cast that takes one line.
+
+# %%
+edges = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+rays, tilts = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 73), np.linspace(0.0, np.pi, 37))
+directions = np.stack([np.cos(rays) * np.sin(tilts), np.sin(rays) * np.sin(tilts), np.cos(tilts)], axis=-1)
+
+
+def force_slice(mu: float) -> tuple[np.ndarray, float]:
+    """Pure forces on the boundary of W in all directions, and the distance from 0 to the nearest facet."""
+    cone = np.stack([mu * np.cos(edges), mu * np.sin(edges), np.ones_like(edges)])  # (3, edges)
+    wrenches = np.concatenate([(scaled[:, 3 * i : 3 * i + 3] @ cone).T for i in range(3)])
+    hull = ConvexHull(np.vstack([wrenches, np.zeros(6)]))
+    normals, offsets = hull.equations[:, :6], -hull.equations[:, 6]
+    speed = directions.reshape(-1, 3) @ normals[:, 3:].T  # no torque: only the force part of a facet's normal counts
+    with np.errstate(divide="ignore"):
+        reach = np.where(speed > 1e-12, offsets / speed, np.inf).min(axis=1)
+    return directions * reach.reshape(rays.shape)[..., None], float(offsets.min())
+
+
+figure = plt.figure(figsize=(9.0, 4.5))
+slices = {}
+for k, mu in enumerate((0.2, MU)):
+    forces, epsilon = force_slice(mu)
+    slices[mu] = np.linalg.norm(forces, axis=-1), epsilon
+    axes = figure.add_subplot(1, 2, k + 1, projection="3d")
+    axes.plot_surface(*np.moveaxis(forces, -1, 0), alpha=0.35, color="tab:blue", linewidth=0)
+    axes.plot_wireframe(*np.moveaxis(epsilon * directions, -1, 0), color="tab:red", linewidth=0.3)
+    axes.quiver(*np.zeros((3, 3)), *n_WCs.T, length=0.5, color="black")
+    axes.set(title=f"mu = {mu}: nearest facet at {epsilon:.3f}", xlabel="x", ylabel="y", zlabel="z")
+    axes.set(xlim=(-0.8, 0.8), ylim=(-0.8, 0.8), zlim=(-0.8, 0.8))
+figure.tight_layout()
+figure.savefig("wrench_hull.png", dpi=110)
+print("written to wrench_hull.png;", {mu: f"quality {epsilon:.4f}" for mu, (_, epsilon) in slices.items()})
+print(
+    f"the same by the library: {epsilon_linearized(G, MU, length=RADIUS, edges=16):.4f}; exact cones {ball.lower:.4f}"
+)
+
+# %% [markdown]
+# The blue body holds all forces that the three contacts can exert without a torque, their normal forces summing to one:
+# a triangle seen from above, since the contacts lie in a plane, and as thick along z as friction makes it, mu upward
+# and downward. The black arrows are the contact normals. The red ball is the quality, and it is smaller than the body:
+# the facet that limits it lies in a direction that has torque in it, which a slice of forces cannot show. Pyramids lie
+# inside the cones, so their quality is at most the exact margin.
+
+# %%
+lengths, epsilon = slices[MU]
+assert epsilon <= lengths.min() and slices[0.2][1] < epsilon
+assert abs(lengths[0].max() - MU) < 0.02  # straight up: friction alone
+assert abs(epsilon - epsilon_linearized(G, MU, length=RADIUS, edges=16)) < 1e-6 and epsilon <= ball.upper
+
+# %% [markdown]
 # **Exercise.** Lower `MU` towards zero. By which law do the forces grow, and does `balance` ever fail? Then allow no
 # normal force above 1 N, by the map `A` that picks the normals and an `effort` of 1 N: at which `MU` does it fail now?
