@@ -84,6 +84,7 @@ def warm_start(source: Grasp, source_hand: Hand, target: Hand, *, wrist: float =
         source.X_WH.rotation().matrix()[None],
         source.X_WH.translation()[None],
         target.q_rest[None],
+        iterations=15,
         tolerance=1e-3,
     )
     R_WH = RotationMatrix.ProjectToRotationMatrix(found.R_WHs[0])
