@@ -2,8 +2,10 @@
 
 import logging
 import os
-import tempfile
+from collections.abc import Callable
 from pathlib import Path
+
+from xdex_drake.whole_file import whole_file
 
 _log = logging.getLogger(__name__)
 
@@ -15,24 +17,18 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xdex_drake"
 
 
-def write_text_whole(file: Path, text: str) -> None:
-    """Writes a cached text file, so that other processes see the whole file or none.
+def write_cache_file(file: Path, write: Callable[[Path], object]) -> None:
+    """Writes a file of the cache, so that other processes see the whole file or none.
 
     A folder that cannot be written to costs time in the next run, no more.
 
     Args:
         file: File in the cache folder.
-        text: What to write.
+        write: Writes the content to the path that it is given.
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".", suffix=file.suffix)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            os.replace(temporary, file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with whole_file(file) as unfinished:
+            write(unfinished)
     except OSError as error:
         _log.warning("cannot write the cache file %s: %s", file, error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from xdex_drake.cli.output import (
     progress,
     table,
 )
+from xdex_drake.whole_file import whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -240,19 +240,14 @@ def _print_statistics(rows: Sequence[HandRow]) -> None:
 
 def _write_picture(path: Path, image: object) -> None:
     """Writes a picture that appears whole or not at all."""
-    import os
-
     import numpy as np
     from PIL import Image
 
     from xdex_drake.errors import ConfigError
 
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.asarray(image)).save(partial, format=PICTURES[path.suffix.lower()], quality=88)
-        os.replace(partial, path)
+        with whole_file(path) as unfinished:
+            Image.fromarray(np.asarray(image)).save(unfinished, format=PICTURES[path.suffix.lower()], quality=88)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None
-    finally:
-        partial.unlink(missing_ok=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TextIO
 import tyro
 
 from xdex_drake.cli.output import check_output_file, table
+from xdex_drake.whole_file import whole_file
 
 if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
@@ -142,13 +141,11 @@ def write_text(path: Path, text: str) -> None:
     """
     from xdex_drake.errors import ConfigError
 
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None
 
 

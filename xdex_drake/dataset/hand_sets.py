@@ -7,8 +7,6 @@ count alone. While it is being filled, rows are kept in a journal; `index.json` 
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -21,6 +19,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.generation import GENERATOR, generate_hand, hand_name, topology
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.yaml_file import read_hand, write_hand
+from xdex_drake.whole_file import whole_file
 
 INDEX = "index.json"
 _JOURNAL = "index.partial.jsonl"
@@ -133,12 +132,8 @@ def _make(seed: int, folder: str, indices: tuple[int, ...]) -> list[HandRow]:
     for index in indices:
         made = generate_hand(seed, index)
         path = Path(folder) / f"{made.hand.name}.yaml"
-        unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
-        try:
+        with whole_file(path) as unfinished:
             write_hand(made.hand, unfinished)
-            os.replace(unfinished, path)
-        finally:
-            unfinished.unlink(missing_ok=True)
         rows.append(hand_row(made.hand, made.rejected))
     return rows
 
@@ -148,14 +143,11 @@ def _ignore(done: int) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
-        unfinished.write_text(text, encoding="utf-8")
-        os.replace(unfinished, path)
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _append(path: Path, lines: Iterable[dict[str, object]]) -> None:

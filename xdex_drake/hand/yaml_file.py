@@ -309,11 +309,11 @@ def _rotation(place: _Field, fields: dict[str, _Field]) -> Array:
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
             raise fields["rotation"].fail("is not a rotation matrix", "give orthonormal rows with determinant 1")
         return R
-    return _matrix_of(fields["rpy"].vector(3)) if "rpy" in fields else np.eye(3)
+    return rpy_matrix(fields["rpy"].vector(3)) if "rpy" in fields else np.eye(3)
 
 
-def _matrix_of(rpy: Array) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3)."""
+def rpy_matrix(rpy: Array) -> Array:
+    """R = Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles (roll, pitch, yaw) [rad], shape (3, 3)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
@@ -650,7 +650,7 @@ def _rotation_text(R: Array) -> str:
     rpy = Rotation.from_matrix(R).as_euler("xyz") if abs(R[2, 0]) < 1.0 - 1e-12 else np.zeros(3)
     for digits in (12, 16):
         rounded = np.round(rpy, digits) + 0.0
-        if np.array_equal(_matrix_of(rounded), R):
+        if np.array_equal(rpy_matrix(rounded), R):
             return f", rpy: {_row(rounded)}"
     return f", rotation: {_rows(R)}"
 

@@ -16,6 +16,7 @@ from safetensors.torch import save as save_tensors
 from xdex_drake.errors import CheckpointError
 from xdex_drake.model.cvae import CVAE, CVAEConfig
 from xdex_drake.model.features import FEATURE_SCHEMA
+from xdex_drake.whole_file import whole_file
 
 FILE_NAME = "model.safetensors"
 MAX_HEADER = 1 << 20
@@ -102,12 +103,10 @@ def write_whole(file: Path, data: bytes) -> None:
         file: The file.
         data: Its content.
     """
-    part = file.with_name(file.name + ".part")
-    with part.open("wb") as stream:
+    with whole_file(file) as unfinished, unfinished.open("wb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
-    os.replace(part, file)
 
 
 def _checked_header(file: Path) -> tuple[dict[str, Any], dict[str, list[int]]]:

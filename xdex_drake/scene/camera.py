@@ -102,14 +102,26 @@ def _probe() -> None:
     _render(scene_graph, DepthCamera(32, 24), RigidTransform())
 
 
-@cache
-def can_see() -> bool:
-    """Whether this machine can render depth; tried once, in another process, since failing may end the process."""
+def survives(code: str) -> bool:
+    """Whether a process of its own gets through some Python code: graphics libraries crash rather than raise.
+
+    Args:
+        code: The code.
+
+    Returns:
+        Whether the process ended well within two minutes.
+    """
     try:
-        result = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return False
     return result.returncode == 0
+
+
+@cache
+def can_see() -> bool:
+    """Whether this machine can render depth; tried once, in another process, since failing may end the process."""
+    return survives(_PROBE)
 
 
 def look_at(p_WC: Array, p_WT: Array) -> RigidTransform:

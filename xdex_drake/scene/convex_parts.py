@@ -2,8 +2,6 @@
 
 import hashlib
 import logging
-import os
-import tempfile
 import time
 import zipfile
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from xdex_drake.cache import cache_folder
+from xdex_drake.cache import cache_folder, write_cache_file
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.scene.distance import ExactDistance, HalfSpaces, Part, build_grid, sample_surface, union_surface
 from xdex_drake.scene.split_process import split_in_process
@@ -394,23 +392,15 @@ def read_cache(file: Path) -> dict[str, NDArray] | None:
 
 
 def write_cache(file: Path, arrays: dict[str, NDArray]) -> None:
-    """Writes a cached file of arrays, so that other processes see the whole file or none.
-
-    A folder that cannot be written to costs time in the next run, no more.
+    """Writes a cached file of arrays; see `write_cache_file`.
 
     Args:
         file: File in the cache folder.
         arrays: Arrays to keep.
     """
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".", suffix=".npz")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                np.savez_compressed(stream, **arrays)  # pyright: ignore[reportArgumentType]
-            os.replace(temporary, file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        _log.warning("cannot write the cache file %s: %s", file, error)
+
+    def write(path: Path) -> None:
+        with path.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)  # pyright: ignore[reportArgumentType]
+
+    write_cache_file(file, write)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from pydrake.systems.sensors import CameraInfo
 from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
+from xdex_drake.scene.camera import survives
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.visualization.views import best_view
@@ -134,11 +134,7 @@ def _probe() -> None:
 @cache
 def can_render() -> bool:
     """Whether this machine can render pictures; tried once, in another process, since failing may end the process."""
-    try:
-        result = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return result.returncode == 0
+    return survives(_PROBE)
 
 
 def require_rendering() -> None:

@@ -7,10 +7,8 @@ import html
 import io
 import logging
 import math
-import os
 import platform
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
@@ -26,6 +24,7 @@ from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 from xdex_drake.visualization.pictures import Image, can_render, render_grasp
 from xdex_drake.visualization.replay import record_lift
+from xdex_drake.whole_file import whole_file
 
 _log = logging.getLogger(__name__)
 
@@ -187,16 +186,8 @@ def write_report(
 
 
 def _write(path: Path, text: str) -> None:
-    descriptor, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-        # A temporary file is its owner's alone; a report is for others too.
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
+    with whole_file(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def _replay_names(sections: Sequence[ReportSection]) -> dict[int, str]:

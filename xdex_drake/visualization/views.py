@@ -11,6 +11,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.scene.camera import look_at
 from xdex_drake.scene.tabletop import Scene
 
 Mask = NDArray[np.bool_]
@@ -70,23 +71,6 @@ def object_points(scene: Scene, X_WO: RigidTransform | None = None) -> tuple[Arr
     area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     R_WO = X_WO.rotation().matrix()
     return points @ R_WO.T + X_WO.translation(), normals @ R_WO.T, float(np.sqrt(area / OBJECT_SAMPLES))
-
-
-def look_at(p_WC: Array, p_WT: Array) -> RigidTransform:
-    """Pose of a camera that looks at a point, upright.
-
-    Args:
-        p_WC: Position of the camera [m], shape (3,).
-        p_WT: Point to look at [m], shape (3,), not straight above or below the camera.
-
-    Returns:
-        X_WC, with z forward, x to the right of the picture and y down.
-    """
-    z = np.asarray(p_WT, dtype=float) - np.asarray(p_WC, dtype=float)
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return RigidTransform(RotationMatrix(np.column_stack([x, np.cross(z, x), z])), p_WC)
 
 
 def frame_blobs(blobs: Blobs, direction: Array, *, fov_y: float, aspect: float, margin: float = 1.06) -> RigidTransform:

@@ -12,7 +12,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from xdex_drake.cache import cache_folder, write_text_whole
+from xdex_drake.cache import cache_folder, write_cache_file
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.drake_plant import model_from_plant
@@ -128,7 +128,7 @@ def load_imported_hand(path: str | Path) -> Hand:
     except HandFileError:
         file.unlink(missing_ok=True)  # Damaged: import again.
     hand = interpret(model, name=name).hand
-    write_text_whole(file, hand_text(hand))
+    write_cache_file(file, lambda path: path.write_text(hand_text(hand), encoding="utf-8"))
     # What comes from the file is the same to the last bit in the first run and in later ones.
     return read_hand(file) if file.is_file() else hand
 

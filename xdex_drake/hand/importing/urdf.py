@@ -18,6 +18,7 @@ from xdex_drake.hand.importing.model import (
 )
 from xdex_drake.hand.importing.tree import as_one_tree, check_mimics
 from xdex_drake.hand.importing.xml_file import Element, Place, check_names, read_xml
+from xdex_drake.hand.yaml_file import rpy_matrix
 
 WHAT = "a URDF file of one hand"
 MAX_PAIRS = 10_000
@@ -102,18 +103,6 @@ def _pose(place: Place | None) -> tuple[Array, Array]:
     if place is None:
         return np.eye(3), np.zeros(3)
     return rpy_matrix(place.numbers("rpy", 3, np.zeros(3))), place.numbers("xyz", 3, np.zeros(3))
-
-
-def rpy_matrix(rpy: Array) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles [rad], shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def _link(name: str, place: Place, meshes: MeshFiles, notes: list[str]) -> FileLink:
