@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.hand.description import Array
 from xdex_drake.hand.kinematics import cross, skew
-from xdex_drake.programs.point import Point
+from xdex_drake.programs.point import CLOSE, Point
 
 MM = 1e3
 """Millimetres in a metre: the unit of distance rows."""
@@ -114,7 +114,7 @@ def object_block(spheres: NDArray[np.int64], clearance: Array) -> Block:
         J = np.zeros((len(spheres), point.size))
         g[known] = MM * gaps[rows[known]]
         # Rows that are far from active need no derivative.
-        close = known[g[known] < 20.0]
+        close = known[g[known] < MM * CLOSE]
         chosen = spheres[close]
         J[close, : point.moving] = MM * point.pull_back_spheres(chosen, gradient[rows[close]])
         return g, J
@@ -159,10 +159,10 @@ def self_block(pairs: NDArray[np.int64], clearance: float) -> Block:
         hand = point.k.hand
         a, b = pairs[:, 0], pairs[:, 1]
         between = point.centers_W[a] - point.centers_W[b]
-        distance = np.sqrt((between**2).sum(1) + 1e-18)
+        distance = np.sqrt(np.einsum("ka,ka->k", between, between) + 1e-18)
         g = MM * (distance - hand.spheres[a, 3] - hand.spheres[b, 3])
         J = np.zeros((len(pairs), point.size))
-        close = np.flatnonzero(g < 20.0)
+        close = np.flatnonzero(g < MM * CLOSE)
         if len(close):
             direction = MM * between[close] / distance[close, None]
             rows = point.pull_back_spheres(
@@ -203,8 +203,9 @@ def wrench_block(p_WOcm: Array, length: float) -> Block:
         g = np.concatenate([torque, f.sum(0) - np.array([0.0, 0.0, 1.0])])
         n = 6 + len(point.k.q)
         J = np.zeros((6, point.size))
-        J[:3, :n] = -np.einsum("kab,kbc->ac", skew(f), point.surface_jacobian) / length
-        J[:3, n:] = np.concatenate(list(skew(arms)), axis=1) / length
+        across = np.swapaxes(skew(np.stack([f, arms])) / length, 1, 2).reshape(2, 3, -1)
+        J[:3, :n] = -across[0] @ point.surface_jacobian.reshape(-1, n)
+        J[:3, n:] = across[1]
         J[3:, n:] = np.tile(np.eye(3), len(f))
         return g, J
 
@@ -241,7 +242,7 @@ def cone_block(contacts: int, mu: float) -> Block:
         R = contact_frames(n)
         d = np.cos(angles)[:, None] * R[:, None, :, 0] + np.sin(angles)[:, None] * R[:, None, :, 1]  # (nc, edges, 3)
         normal = (f * n).sum(1)
-        g = inscribed * normal[:, None] - np.einsum("kea,ka->ke", d, f)
+        g = inscribed * normal[:, None] - (d @ f[:, :, None])[..., 0]
         on_force = inscribed * n[:, None] - d
         on_normal = inscribed * f[:, None] + normal[:, None, None] * d
         k = 6 + len(point.k.q)
@@ -285,8 +286,8 @@ def pad_block(pads_L: Array, least: float) -> Block:
     def evaluate(point: Point) -> tuple[Array, Array]:
         pads = point.k.vectors(point.contacts.links, pads_L)
         n = point.normals_W
-        J_pad = -skew(pads) @ point.k.angular_jacobian(point.contacts.links)
-        J = np.einsum("ka,kab->kb", n, J_pad) + np.einsum("ka,kab->kb", pads, point.normal_jacobian)
+        J_turn = point.k.angular_jacobian(point.contacts.links)
+        J = np.einsum("ka,kab->kb", cross(pads, n), J_turn) + np.einsum("ka,kab->kb", pads, point.normal_jacobian)
         return (pads * n).sum(1), _pad(point, J)
 
     m = len(pads_L)

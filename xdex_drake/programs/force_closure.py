@@ -57,19 +57,15 @@ def contact_set(hand: Hand, scene: Scene, k: Configuration, fingers: NDArray[np.
     Returns:
         The contact set.
     """
-    spheres, links, chosen = [], [], []
-    slots = contact_slots(hand)
-    for f in np.flatnonzero(fingers):
-        link, rows = slots[f].link, slots[f].spheres
-        centers = k.points(np.full(len(rows), link), hand.spheres[rows, :3])
-        gaps = scene.object.exact.query(_to_object(scene, centers)).distance
-        best = rows[int(np.argmin(gaps - hand.spheres[rows, 3]))]
-        spheres.append(int(best))
-        links.append(link)
-        chosen.append(int(f))
-    return ContactSet(
-        np.array(spheres, dtype=np.int64), np.array(links, dtype=np.int64), np.array(chosen, dtype=np.int64)
-    )
+    slots, chosen = contact_slots(hand), np.flatnonzero(fingers)
+    candidates = [slots[f].spheres for f in chosen]
+    rows = np.concatenate([np.zeros(0, dtype=np.int64), *candidates])
+    centers = k.points(hand.sphere_links[rows], hand.spheres[rows, :3])
+    gaps = scene.object.exact.query(_to_object(scene, centers)).distance - hand.spheres[rows, 3]
+    parts = np.split(gaps, np.cumsum([len(some) for some in candidates])[:-1])
+    spheres = [some[int(np.argmin(part))] for some, part in zip(candidates, parts, strict=True)]
+    links = [slots[f].link for f in chosen]
+    return ContactSet(np.array(spheres, dtype=np.int64), np.array(links, dtype=np.int64), chosen)
 
 
 def _to_object(scene: Scene, p_WPs: Array) -> Array:
@@ -90,7 +86,8 @@ def near_self_pairs(hand: Hand, k: Configuration, reach: float = 0.03) -> NDArra
     pairs = sphere_pairs(hand)
     centers = k.points(hand.sphere_links, hand.spheres[:, :3])
     a, b = pairs[:, 0], pairs[:, 1]
-    gap = np.linalg.norm(centers[a] - centers[b], axis=1) - hand.spheres[a, 3] - hand.spheres[b, 3]
+    between = centers[a] - centers[b]
+    gap = np.sqrt(np.einsum("ka,ka->k", between, between)) - hand.spheres[a, 3] - hand.spheres[b, 3]
     return pairs[gap < reach]
 
 
@@ -187,16 +184,16 @@ def posture_cost(
     """
     n = len(start.k.q)
     scale = np.concatenate([np.full(3, 1.0 / rotation), np.full(3, 1.0 / translation), np.full(n, 1.0 / joint)])
-    R0, p0, q0 = start.k.X_WH.rotation(), start.k.X_WH.translation(), start.k.q
+    R0, p0, q0 = start.k.X_WH.rotation().matrix(), start.k.X_WH.translation(), start.k.q
+    template = np.zeros((6 + n, start.size))
+    template[:, : 6 + n] = np.diag(scale)
 
     def evaluate(point: Point) -> tuple[Array, Array]:
-        R = point.k.X_WH.rotation()
-        turn = (R @ R0.inverse()).matrix()
+        turn = point.k.X_WH.rotation().matrix() @ R0.T
         # Twice the sine of small angles; exact at the start, where it matters.
         w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         r = scale * np.concatenate([w, point.k.X_WH.translation() - p0, point.k.q - q0])
-        J = np.zeros((6 + n, point.size))
-        J[:, : 6 + n] = np.diag(scale)
+        J = template.copy()
         J[:3, :3] = scale[0] * 0.5 * (np.trace(turn) * np.eye(3) - turn)
         return r, J
 

@@ -20,6 +20,9 @@ from xdex_drake.scene.tabletop import Scene
 FAR = 0.03
 """Spheres further than this from the object's bounding box are not asked for exact distances [m]."""
 
+CLOSE = 0.02
+"""Rows of larger gaps have no derivative, and spheres that are known to be so far off are not asked for distances [m]."""
+
 
 @dataclass(frozen=True)
 class ContactSet:
@@ -45,7 +48,9 @@ class Point:
         scene: The scene.
         contacts: The contact set.
         forces: Forces on the object, in W, in units of the object's weight, shape (nc, 3).
-        memo: Values and Jacobians of constraint blocks at this point, by name.
+        memo: Values and Jacobians of costs and constraint blocks at this point, by name.
+        known: Centers of all spheres [m], shape (n_spheres, 3), and lower bounds of their gaps [m], shape (n_spheres,),
+            at the point from which this one was moved; None where there is none.
     """
 
     k: Configuration
@@ -53,6 +58,7 @@ class Point:
     contacts: ContactSet
     forces: Array
     memo: dict[str, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    known: tuple[Array, Array] | None = field(default=None, compare=False, repr=False)
 
     @property
     def size(self) -> int:
@@ -88,12 +94,28 @@ class Point:
         low, high = self.scene.object.exact.lower, self.scene.object.exact.upper
         reach = FAR + self.k.hand.spheres[:, 3][:, None]
         near = np.all((centers_O > low - reach) & (centers_O < high + reach), axis=1)
+        near &= self._foreseen_gaps < CLOSE
         near[self.contacts.spheres] = True
         return np.flatnonzero(near)
 
+    @cached_property
+    def _foreseen_gaps(self) -> Array:
+        """Lower bounds of all gaps [m]: no distance changes by more than its sphere's center moves."""
+        if self.known is None:
+            return np.full(len(self.centers_W), -np.inf)
+        centers, gaps = self.known
+        moved = self.centers_W - centers
+        return gaps - np.sqrt(np.einsum("ka,ka->k", moved, moved))
+
+    def _least_gaps(self) -> Array:
+        """The same with what is known exactly, for points that come from this one."""
+        near, gaps, _ = self.object_distances
+        least = np.full(len(self.centers_W), FAR) if self.known is None else self._foreseen_gaps.copy()
+        least[near] = gaps
+        return least
+
     def _to_object(self, p_WPs: Array) -> Array:
-        R_WO, p_WO = self.scene.X_WO.rotation().matrix(), self.scene.X_WO.translation()
-        return (p_WPs - p_WO) @ R_WO
+        return (p_WPs - self.scene.X_WO.translation()) @ self.scene.X_WO.rotation().matrix()
 
     @cached_property
     def _near_query(self) -> tuple[Array, Array]:
@@ -181,4 +203,6 @@ class Point:
     def moved(self, step: Array) -> Point:
         """The point after a step along its tangent, shape (size,)."""
         n = 6 + len(self.k.q)
-        return Point(self.k.moved(step[:n]), self.scene, self.contacts, self.forces + step[n:].reshape(-1, 3))
+        forces = self.forces + step[n:].reshape(-1, 3)
+        known = (self.centers_W, self._least_gaps()) if "_near_query" in vars(self) else None
+        return Point(self.k.moved(step[:n]), self.scene, self.contacts, forces, known=known)

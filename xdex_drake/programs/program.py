@@ -45,14 +45,21 @@ class LeastSquares:
     evaluate: Callable[[Point], tuple[Array, Array]]
     meaning: str
 
+    def at(self, point: Point) -> tuple[Array, Array]:
+        """What `evaluate` gives, computed once for a point."""
+        key = f"cost {self.name}"
+        if key not in point.memo:
+            point.memo[key] = self.evaluate(point)
+        return point.memo[key]
+
     def value(self, point: Point) -> float:
         """The cost at a point."""
-        r, _ = self.evaluate(point)
+        r, _ = self.at(point)
         return 0.5 * self.weight * float(r @ r)
 
     def gradient(self, point: Point) -> Array:
         """Gradient with respect to the tangent, shape (size,)."""
-        r, J = self.evaluate(point)
+        r, J = self.at(point)
         return self.weight * (r @ J)
 
 

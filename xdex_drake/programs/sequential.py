@@ -8,8 +8,11 @@ program's own residuals.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import daqp
 import numpy as np
+from numpy.typing import NDArray
 
 from xdex_drake.hand.description import Array
 from xdex_drake.programs.constraints import TOLERANCES, Block
@@ -36,20 +39,56 @@ FAR_ROWS = 15.0
 """Inequality rows slacker than this are left out of a subproblem [mm]."""
 
 
-def _stiffness(block: Block, loose: bool) -> float:
-    return LOOSE if loose and block.unit == "mm" else EQUALITY
+@dataclass(frozen=True)
+class _Rows:
+    """What stays the same for the rows of all constraints of a program, joint limits apart, block after block.
+
+    Attributes:
+        blocks: The blocks that have rows.
+        starts: First row of each.
+        owner: Block of each row, shape (m,).
+        low: Lower bounds, shape (m,).
+        high: Upper bounds, shape (m,).
+        equal: Which rows are equalities, shape (m,).
+        stiff: Penalty on squared violation of each, 0 for inequalities, shape (m,).
+        loose: The same during the first half of the iterations, shape (m,).
+    """
+
+    blocks: tuple[Block, ...]
+    starts: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    low: Array
+    high: Array
+    equal: NDArray[np.bool_]
+    stiff: Array
+    loose: Array
 
 
-def _merit(program: GraspProgram, point: Point, loose: bool) -> tuple[float, float]:
+def _rows(program: GraspProgram) -> _Rows:
+    """The rows of a program."""
+    seen = [(block, block.rows(program.start)) for block in program.constraints if block.name != "limits"]
+    seen = [(block, rows) for block, rows in seen if len(rows[0])]
+    if not seen:
+        return _Rows((), *(np.zeros(0, dtype=kind) for kind in (int, int, float, float, bool, float, float)))
+    blocks = tuple(block for block, _ in seen)
+    counts = [len(rows[0]) for _, rows in seen]
+    owner = np.repeat(np.arange(len(blocks)), counts)
+    low, high = (np.concatenate([rows[k] for _, rows in seen]) for k in (2, 3))
+    equal = low == high
+    stiff = EQUALITY * equal
+    loose = np.where(np.array([block.unit == "mm" for block in blocks])[owner], LOOSE * equal, stiff)
+    return _Rows(blocks, np.concatenate([[0], np.cumsum(counts[:-1])]), owner, low, high, equal, stiff, loose)
+
+
+def _merit(program: GraspProgram, rows: _Rows, point: Point, loose: bool) -> tuple[float, float]:
     """The merit, and the part of it that stands for violated constraints."""
     cost = sum(cost.value(point) for cost in program.costs)
-    penalty = 0.0
-    for block in program.constraints:
-        g, _, low, high = block.rows(point)
-        miss = np.maximum(low - g, g - high).clip(min=0.0)
-        equal = low == high
-        penalty += 0.5 * _stiffness(block, loose) * float((miss[equal] ** 2).sum())
-        penalty += SLACK * float(miss[~equal].max(initial=0.0))
+    if not rows.blocks:
+        return cost, 0.0
+    g = np.concatenate([block.rows(point)[0] for block in rows.blocks])
+    miss = np.maximum(np.maximum(rows.low - g, g - rows.high), 0.0)
+    penalty = 0.5 * float((rows.loose if loose else rows.stiff) @ (miss * miss))
+    penalty += SLACK * float(np.maximum.reduceat(np.where(rows.equal, 0.0, miss), rows.starts).sum())
     return cost + penalty, penalty
 
 
@@ -57,11 +96,12 @@ def _holds(program: GraspProgram, point: Point) -> bool:
     return all(block.violation(point) <= SAFE * TOLERANCES[block.unit] for block in program.constraints)
 
 
-def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = False) -> tuple[Array, float]:
+def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loose: bool) -> tuple[Array, float]:
     """Solves one convex subproblem.
 
     Args:
         program: The program.
+        rows: Its rows.
         point: The point to linearise about.
         trust: Trust region: radians for wrist and joints; a tenth of it in metres for translation.
         loose: Whether equalities in millimetres are penalised by `LOOSE` only.
@@ -70,70 +110,49 @@ def step(program: GraspProgram, point: Point, trust: float, *, loose: bool = Fal
         Step along the tangent, shape (point.size,), and by how much the merit falls if the linearisation is true; zeros
         where the subproblem could not be solved.
     """
-    size = point.size
-    n = len(point.k.q)
-    P = 1e-4 * np.eye(size)
-    c = np.zeros(size)
+    size, n, slacks = point.size, len(point.k.q), len(rows.blocks)
+    whole = size + slacks
+    H, f = np.zeros((whole, whole)), np.zeros(whole)
+    H.flat[: size * whole : whole + 1] = 1e-4
+    H.flat[size * (whole + 1) :: whole + 1] = 1e-3
+    f[size:] = SLACK
+    P, c = H[:size, :size], f[:size]
     for cost in program.costs:
         if isinstance(cost, LeastSquares):
-            r, J = cost.evaluate(point)
+            r, J = cost.at(point)
             P += cost.weight * J.T @ J
-            c += cost.weight * (J.T @ r)
+            c += cost.weight * (r @ J)
         else:
             c += cost.gradient(point)
             P += 1e-2 * np.eye(size)
-    rows, lows, highs, owner = [], [], [], []
-    blocks, violation = 0, 0.0
-    for block in program.constraints:
-        if block.name == "limits":
-            continue
-        g, J, low, high = block.rows(point)
-        equal = low == high
-        if equal.any():
-            r, J_e = (g - low)[equal], J[equal]
-            stiff = _stiffness(block, loose)
-            P += stiff * J_e.T @ J_e
-            c += stiff * (J_e.T @ r)
-        near = ~equal & ((g - low < FAR_ROWS) | (high - g < FAR_ROWS))
-        if near.any():
-            rows.append(J[near])
-            lows.append((low - g)[near])
-            highs.append((high - g)[near])
-            owner.append(np.full(int(near.sum()), blocks))
-            violation += float(np.maximum(low - g, g - high)[near].max(initial=0.0))
-            blocks += 1
-    bound = np.concatenate([np.full(3, trust), np.full(3, 0.1 * trust), np.full(n, trust), np.full(size - 6 - n, 10.0)])
+    bound = np.full(whole, trust)
+    bound[3:6], bound[6 + n : size], bound[size:] = 0.1 * trust, 10.0, 1e6
+    lower, upper = -bound, bound
     # Joint limits hold exactly, as bounds of the step.
-    low_q, high_q = point.k.hand.limits - point.k.q
-    step_low, step_high = -bound, bound.copy()
-    step_low[6 : 6 + n] = np.minimum(np.maximum(step_low[6 : 6 + n], low_q), 0.0)
-    step_high[6 : 6 + n] = np.maximum(np.minimum(step_high[6 : 6 + n], high_q), 0.0)
-    H = np.zeros((size + blocks, size + blocks))
-    H[:size, :size] = P
-    H[size:, size:] = 1e-3 * np.eye(blocks)
-    f = np.concatenate([c, np.full(blocks, SLACK)])
-    upper = np.concatenate([step_high, np.full(blocks, 1e6)])
-    lower = np.concatenate([step_low, np.zeros(blocks)])
-    if blocks:
-        A = np.concatenate(rows)
-        low, high, own = np.concatenate(lows), np.concatenate(highs), np.concatenate(owner)
-        S = np.zeros((len(A), blocks))
-        S[np.arange(len(A)), own] = 1.0
-        # low <= A x + s  and  A x - s <= high, as rows of one-sided bounds.
-        has_low, has_high = np.isfinite(low), np.isfinite(high)
-        A_all = np.concatenate([np.hstack([A, S])[has_low], np.hstack([A, -S])[has_high]])
-        low_all = np.concatenate([low[has_low], np.full(int(has_high.sum()), -1e30)])
-        high_all = np.concatenate([np.full(int(has_low.sum()), 1e30), high[has_high]])
-    else:
-        A_all, low_all, high_all = np.zeros((0, size)), np.zeros(0), np.zeros(0)
-    x, value, flag, _ = daqp.solve(
-        np.ascontiguousarray(H),
-        f,
-        np.ascontiguousarray(A_all),
-        np.concatenate([upper, high_all]),
-        np.concatenate([lower, low_all]),
-        np.zeros(len(upper) + len(high_all), dtype=np.int32),
-    )
+    lower[6 : 6 + n] = np.minimum(np.maximum(lower[6 : 6 + n], point.k.hand.limits[0] - point.k.q), 0.0)
+    upper[6 : 6 + n] = np.maximum(np.minimum(upper[6 : 6 + n], point.k.hand.limits[1] - point.k.q), 0.0)
+    lower[size:] = 0.0
+    A, violation = np.zeros((0, whole)), 0.0
+    if rows.blocks:
+        values = [block.rows(point) for block in rows.blocks]
+        g, J = np.concatenate([v[0] for v in values]), np.concatenate([v[1] for v in values])
+        short, spare = rows.low - g, rows.high - g
+        stiff = (rows.loose if loose else rows.stiff)[rows.equal]
+        J_e, r = J[rows.equal], -short[rows.equal]
+        P += (J_e * stiff[:, None]).T @ J_e
+        c += (stiff * r) @ J_e
+        # low <= J x + s  and  J x - s <= high, as rows of one-sided bounds.
+        below = np.flatnonzero(~rows.equal & (short > -FAR_ROWS))
+        above = np.flatnonzero(~rows.equal & (spare < FAR_ROWS))
+        A = np.zeros((len(below) + len(above), whole))
+        np.concatenate([J[below], J[above]], out=A[:, :size])
+        A[np.arange(len(below)), size + rows.owner[below]] = 1.0
+        A[np.arange(len(below), len(A)), size + rows.owner[above]] = -1.0
+        lower = np.concatenate([lower, short[below], np.full(len(above), -1e30)])
+        upper = np.concatenate([upper, np.full(len(below), 1e30), spare[above]])
+        miss = np.where(rows.equal, 0.0, np.maximum(np.maximum(short, -spare), 0.0))
+        violation = float(np.maximum.reduceat(miss, rows.starts).sum())
+    x, value, flag, _ = daqp.solve(H, f, A, upper, lower, np.zeros(len(upper), dtype=np.int32))
     if flag <= 0:
         return np.zeros(size), 0.0
     return np.asarray(x[:size]), SLACK * violation - value
@@ -154,17 +173,17 @@ def solve_sequential(
     Returns:
         The last point that lowered the merit, and the number of subproblems solved.
     """
-    point, count, reach = program.start, 0, trust
+    point, count, reach, rows = program.start, 0, trust, _rows(program)
     for loose in (True, False):
-        merit, penalty = _merit(program, point, loose)
+        merit, penalty = _merit(program, rows, point, loose)
         for _ in range(iterations // 2):
-            move, promised = step(program, point, reach, loose=loose)
+            move, promised = _step(program, rows, point, reach, loose=loose)
             count += 1
             # Nothing to gain, or constraints that another hundred steps like this one would not mend.
             if promised < max(1e-3, 1e-2 * penalty):
                 break
             trial = point.moved(move)
-            trial_merit, trial_penalty = _merit(program, trial, loose)
+            trial_merit, trial_penalty = _merit(program, rows, trial, loose)
             gain = merit - trial_merit
             if gain < 0.25 * promised:
                 reach *= 0.25

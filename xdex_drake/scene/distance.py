@@ -18,6 +18,11 @@ GRID_MARGIN = 0.03
 GRID_SPACING = 0.0023
 GRID_CELLS = 72
 
+_CORNERS = np.array(list(np.ndindex(2, 2, 2)))
+"""Corners of a grid's cell, shape (8, 3)."""
+
+_SIGNS = 2.0 * _CORNERS - 1.0
+
 
 @dataclass(frozen=True)
 class DistanceResult:
@@ -256,24 +261,25 @@ class DistanceGrid:
         Returns:
             Distances [m], shape (n,), unit gradients, shape (n, 3), and their Jacobians [1/m], shape (n, 3, 3).
         """
-        cell = (np.clip(points_O, self.origin, self.upper) - self.origin) / self.spacing
-        low = np.minimum(cell.astype(np.int64), np.array(self.values.shape) - 2)
-        t = (cell - low)[:, None, :]  # (n, 1, 3)
-        bits = np.array(list(np.ndindex(2, 2, 2)))  # (8, 3)
-        w = np.where(bits, t, 1.0 - t)  # (n, 8, 3)
-        i, j, k = np.moveaxis(low[:, None, :] + bits, -1, 0)
-        values, gradients = self.values[i, j, k].astype(float), self.gradients[i, j, k].astype(float)
-        weight = w.prod(-1)
-        slope = np.where(bits, 1.0, -1.0) * np.stack(
-            [w[..., 1] * w[..., 2], w[..., 0] * w[..., 2], w[..., 0] * w[..., 1]], axis=-1
-        )
-        distance = (weight * values).sum(1)
-        gradient = (weight[..., None] * gradients).sum(1)
-        jacobian = np.swapaxes(gradients, 1, 2) @ slope / self.spacing
-        size = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
+        ends = np.array(self.values.shape) - 1
+        cell = np.minimum(np.maximum((points_O - self.origin) / self.spacing, 0.0), ends)
+        low = np.minimum(cell.astype(np.int64), ends - 1)
+        w = _SIGNS * (cell - low)[:, None, :] + (1.0 - _CORNERS)  # (n, 8, 3)
+        strides = np.array([self.values.shape[1] * self.values.shape[2], self.values.shape[2], 1])
+        rows = (low @ strides)[:, None] + _CORNERS @ strides
+        values = self.values.reshape(-1).take(rows)
+        gradients = self.gradients.reshape(-1, 3).take(rows, axis=0).astype(float)
+        x, y, z = w[..., 0], w[..., 1], w[..., 2]
+        yz = y * z
+        weights = np.stack([_SIGNS[:, 0] * yz, _SIGNS[:, 1] * (x * z), _SIGNS[:, 2] * (x * y), x * yz], axis=-1)
+        # Derivatives of the gradient, and in the last column the gradient itself.
+        jacobian = np.swapaxes(gradients, 1, 2) @ weights
+        distance = (weights[..., 3] * values).sum(1)
+        gradient = jacobian[..., 3]
+        size = np.maximum(np.sqrt((gradient * gradient).sum(1, keepdims=True)), 1e-9)
         unit = gradient / size
-        across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-        return distance, unit, across @ jacobian / size[..., None]
+        slope = jacobian[..., :3] / (self.spacing * size[..., None])
+        return distance, unit, slope - unit[:, :, None] * (unit[:, None, :] @ slope)
 
 
 def build_grid(
