@@ -55,7 +55,7 @@ class LiftRig:
         protocol: The protocol.
         bench: Hand on its carriage, object and table.
         simulator: Simulator of `bench.diagram`.
-        hand_source: Plays the joints' targets and their velocities, zero.
+        hand_source: Plays the joints' targets and their rates; see `_trajectory`.
         carriage_source: The same of the carriage.
     """
 
@@ -262,20 +262,38 @@ def _play_targets(rig: LiftRig, grasp: Grasp) -> None:
     back, top = grasp.X_WH_pregrasp.translation() - grasp.X_WH.translation(), np.array([0.0, 0.0, protocol.rise_m])
     offset = np.column_stack([back, np.zeros(3), np.zeros(3), top])
     rig.hand_source.UpdateTrajectory(_trajectory(breaks, q, protocol.ramp))
-    if protocol.shaking is not None:
-        times = np.arange(0.0, sum(spans) + 2.0 * step, step)
-        offset = np.column_stack([targets(grasp, protocol, t)[1] for t in times])
-        rig.carriage_source.UpdateTrajectory(_trajectory(times - step, offset, "linear"))
+    if protocol.shaking is None:
+        rig.carriage_source.UpdateTrajectory(_trajectory(breaks, offset, protocol.ramp))
         return
-    rig.carriage_source.UpdateTrajectory(_trajectory(breaks, offset, protocol.ramp))
+    times = np.arange(0.0, sum(spans) + 2.0 * step, step)
+    offset = np.column_stack([targets(grasp, protocol, t)[1] for t in times])
+    rates = np.where(times < protocol.close_s, np.gradient(offset, step, axis=1), 0.0)
+    samples = np.concatenate([offset, rates])
+    rig.carriage_source.UpdateTrajectory(PiecewisePolynomial.FirstOrderHold(times - step, samples))
 
 
 def _trajectory(breaks: Array, samples: Array, shape: str) -> PiecewisePolynomial:
-    """Positions between samples, over velocities that are zero."""
-    samples = np.concatenate([samples, np.zeros_like(samples)])
+    """Positions between samples, over their rates, which are those of the first span and then zero.
+
+    Targets whose rate is said to be zero are followed with a lag of kd / kp, 0.1 s. Closing so, fingers arrive one
+    after the other while they squeeze already, stick where they touch first, and press with other forces than the
+    certificate's. From the squeeze on targets are forces by way of the springs, not motions.
+    """
+    n = len(samples)
+    still = np.zeros_like(samples[:, :2])
+    rate = (samples[:, 1:2] - samples[:, :1]) / (breaks[1] - breaks[0])
+    rest = np.concatenate([samples[:, 1:], np.zeros_like(samples[:, 1:])])
     if shape == "linear":
-        return PiecewisePolynomial.FirstOrderHold(breaks, samples)
-    return PiecewisePolynomial.CubicHermite(breaks, samples, np.zeros_like(samples))
+        closing = np.concatenate([samples[:, :2], np.tile(rate, 2)])
+        first = PiecewisePolynomial.FirstOrderHold(breaks[:2], closing)
+        first.ConcatenateInTime(PiecewisePolynomial.FirstOrderHold(breaks[1:], rest))
+        return first
+    # The rate of a smooth ramp is a parabola with slopes of 6 and -6 rates a span at its ends.
+    bend = 6.0 * rate / (breaks[1] - breaks[0])
+    closing, slopes = np.concatenate([samples[:, :2], still]), np.concatenate([still, np.hstack([bend, -bend])])
+    first = PiecewisePolynomial.CubicHermite(breaks[:2], closing, slopes)
+    first.ConcatenateInTime(PiecewisePolynomial.CubicHermite(breaks[1:], rest, np.zeros((2 * n, len(breaks) - 1))))
+    return first
 
 
 def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
