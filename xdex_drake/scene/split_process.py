@@ -1,7 +1,8 @@
 """Splits a mesh into convex parts in a process of its own, within limits of time and memory.
 
 The libraries that split and mend meshes end the process, or do not return, on some broken input. Time is counted on the
-processor, so that a busy machine changes no result; a wall limit ends what waits for nothing.
+processor, so that a busy machine changes no result; a wall limit, which is short for meshes that are hardly ones of an
+object, ends what waits for nothing.
 """
 
 import logging
@@ -20,11 +21,17 @@ from xdex_drake.scene.distance import Part
 
 _log = logging.getLogger(__name__)
 
-FINE_CPU_S = {True: 60.0, False: 8.0}
-"""Processor time for likely meshes (40 everyday ones, closed or not, took 39 s at most), and for unlikely ones [s]."""
+FINE_CPU_S = {True: 60.0, False: 7.0}
+"""Processor time for likely meshes (40 everyday ones, closed or not, took 50 s at most), and for unlikely ones [s]."""
 
-COARSE_CPU_S = 8.0
+FINE_WALL_S = {True: 130.0, False: 13.0}
+"""Time by the clock of the same [s]."""
+
+COARSE_CPU_S = 7.0
 """Processor time of the coarser split that is tried where that was not enough [s]."""
+
+COARSE_WALL_S = 13.0
+"""Time by the clock of the same [s]: with the fine split, an unlikely mesh takes less than 30 s on a busy machine."""
 
 MEMORY_BYTES = 6_000_000_000
 COARSELY = "split coarsely"
@@ -47,17 +54,17 @@ def split_in_process(vertices: Array, faces: Faces, *, likely: bool) -> tuple[tu
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
-        failure = _run(folder, "fine", FINE_CPU_S[likely])
-        if not failure:
+        failure = _run(folder, "fine", FINE_CPU_S[likely], FINE_WALL_S[likely])
+        if not failure or (folder / "fine.npz").exists():  # Parts that were to be refined are good enough.
             return _read(folder / "fine.npz"), ""
         _log.warning("splitting a mesh of %d triangles: %s; it is split coarsely", len(faces), failure)
-        again = _run(folder, "coarse", COARSE_CPU_S)
+        again = _run(folder, "coarse", COARSE_CPU_S, COARSE_WALL_S)
         if not again:
             return _read(folder / "coarse.npz"), f"{COARSELY}, as the fine way {failure}"
     raise ObjectFileError(f"cannot be split into convex parts: it {failure}; repair or simplify the mesh")
 
 
-def _run(folder: Path, way: str, cpu_s: float) -> str:
+def _run(folder: Path, way: str, cpu_s: float, wall_s: float) -> str:
     """Runs the child; the reason why it failed, empty where it did not.
 
     Raises:
@@ -66,11 +73,9 @@ def _run(folder: Path, way: str, cpu_s: float) -> str:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-m", "xdex_drake.scene.split_process", str(folder), way, str(cpu_s)]
     try:
-        done = subprocess.run(
-            command, capture_output=True, timeout=2.0 * cpu_s + 10.0, check=False, env=environment, text=True
-        )
+        done = subprocess.run(command, capture_output=True, timeout=wall_s, check=False, env=environment, text=True)
     except subprocess.TimeoutExpired:
-        return f"took more than {2.0 * cpu_s + 10.0:g} s"
+        return f"took more than {wall_s:g} s"
     if done.returncode == 0:
         return ""
     if (message := folder / "error.txt").exists():
@@ -95,7 +100,7 @@ def _limit(kind: int, value: int) -> None:
 
 def main() -> None:
     """The child: reads `mesh.npz` of a folder and writes the parts beside it."""
-    from xdex_drake.scene.convex_parts import TooDetailed, split, split_coarsely
+    from xdex_drake.scene.convex_parts import TooDetailed, refine, split, split_coarsely
 
     folder, way, cpu_s = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
     _limit(resource.RLIMIT_CPU, round(cpu_s + 2.0))  # Two seconds for what was imported.
@@ -112,8 +117,17 @@ def main() -> None:
     except TooDetailed as error:
         (folder / "detail.txt").write_text(str(error), encoding="utf-8")
         sys.exit(1)
+    _write(folder / f"{way}.npz", parts)
+    if way == "fine":
+        _write(folder / "fine.npz", refine(vertices, faces, parts))
+
+
+def _write(file: Path, parts: tuple[Part, ...]) -> None:
+    """Writes parts, whole or not at all: the process may be ended at any time."""
     arrays = {f"{label}{k}": part[i] for k, part in enumerate(parts) for i, label in enumerate("vf")}
-    np.savez(folder / f"{way}.npz", **arrays)  # pyright: ignore[reportArgumentType]
+    unfinished = file.with_suffix(".part.npz")
+    np.savez(unfinished, **arrays)  # pyright: ignore[reportArgumentType]
+    unfinished.replace(file)
 
 
 if __name__ == "__main__":
