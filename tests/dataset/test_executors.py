@@ -152,7 +152,7 @@ def test_bad_numbers_are_refused_at_once(options):
 
 
 SCRIPT = """
-    import functools, sys, time
+    import functools, sys, threading, time
     from pathlib import Path
     from xdex_drake.dataset.executors import run_units
 
@@ -165,14 +165,16 @@ SCRIPT = """
         (Path(sys.argv[1]) / f"{result.unit}.saved").touch()
 
     if GUARD:
+        if THREAD:  # workers are forked from a server then
+            threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
         for _ in run_units(range(8), functools.partial(work, folder=sys.argv[1]), workers=2, on_done=save):
             pass
 """
 
 
-def start_script(tmp_path, guard):
+def start_script(tmp_path, guard, thread):
     script = tmp_path / "script.py"
-    script.write_text(textwrap.dedent(SCRIPT).replace("GUARD", guard))
+    script.write_text(textwrap.dedent(SCRIPT).replace("GUARD", guard).replace("THREAD", str(thread)))
     (tmp_path / "out").mkdir()
     return subprocess.Popen(
         [sys.executable, str(script), str(tmp_path / "out")],
@@ -189,9 +191,10 @@ def wait_for(paths, seconds=60.0):
         time.sleep(0.02)
 
 
+@pytest.mark.parametrize("thread", [False, True])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_ctrl_c_or_a_kill_leaves_finished_work_and_no_process(tmp_path, how):
-    with start_script(tmp_path, '__name__ == "__main__"') as process:
+def test_ctrl_c_or_a_kill_leaves_finished_work_and_no_process(tmp_path, how, thread):
+    with start_script(tmp_path, '__name__ == "__main__"', thread) as process:
         out = tmp_path / "out"
         wait_for([*(out / f"{k}.saved" for k in range(4)), out / "4.begun", out / "5.begun"])
         if how is signal.SIGINT:
@@ -206,7 +209,7 @@ def test_ctrl_c_or_a_kill_leaves_finished_work_and_no_process(tmp_path, how):
 
 
 def test_a_script_without_its_guard_gets_an_explanation(tmp_path):
-    with start_script(tmp_path, "True") as process:
+    with start_script(tmp_path, "True", thread=True) as process:
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "a script needs its `if __name__" in errors

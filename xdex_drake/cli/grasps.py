@@ -46,7 +46,7 @@ class GraspCommand:
         time_limit: Seconds after which what was found is all there is.
         keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
         html: Also write a page that replays the first grasps.
-        workers: Number of processes; 1 works without starting any.
+        workers: Number of processes that work; one that crashes costs the batch it works on.
     """
 
     hand: str
@@ -101,8 +101,8 @@ class GraspCommand:
         tally = RequestTally()
         kept: list[Grasp] = []
         lifted = 0
-        # One or two grasps are there before another process would have begun.
-        workers = 0 if self.workers == 1 or self.count <= 2 else self.workers
+        # One or two grasps are the work of one batch.
+        workers = 1 if self.count <= 2 else self.workers
         with keeping_finished_work() as interruption, progress(self.count, f"{hand.name} {model.name}") as bar:
             batches = synthesize_batches(
                 request, count=self.count, workers=workers, time_limit_s=self.time_limit, tally=tally
@@ -170,7 +170,7 @@ class Retarget:
         to: The hands to carry them to.
         out: The file of retargeted grasps.
         keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
-        workers: Number of processes; 1 works without starting any.
+        workers: Number of processes that work; one that crashes costs the grasp it works on.
     """
 
     file: tyro.conf.Positional[Path]
@@ -205,7 +205,7 @@ class Retarget:
         tallies = {target: [0, 0, 0, {}, {}, 0.0] for target in self.to}
         begin = time.perf_counter()
         with keeping_finished_work() as interruption, progress(len(units), "retarget") as bar:
-            for unit, outcome in in_order(units, run_retarget, workers=0 if self.workers <= 1 else self.workers):
+            for unit, outcome in in_order(units, run_retarget, workers=max(1, self.workers)):
                 tally = tallies[unit.target]
                 tally[0] += 1
                 bar.update()
@@ -251,7 +251,7 @@ class LiftCommand:
         protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
-        workers: Number of processes; 1 works without starting any.
+        workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
     """
 
     file: tyro.conf.Positional[Path]
@@ -295,9 +295,7 @@ class LiftCommand:
         rows = []
         tallies: dict[tuple[str, str], list] = {}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
-            for unit, verdict in in_order(
-                units, run_lift, workers=0 if self.workers <= 1 else self.workers, lost=lost_lift
-            ):
+            for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
                 row = stored[unit.index].row
                 tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
                 tally[0] += 1

@@ -119,3 +119,5 @@ def one_thread() -> None:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    # Arrow's allocator would have a thread of its own, and only a process of one thread is forked for its workers.
+    os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")

@@ -1,7 +1,11 @@
 """Runs units of work in child processes, so that a crash costs one unit and memory stays bounded.
 
-Drake and the solvers end the process where they meet what they cannot handle. Here each worker is a fresh process that
+Drake and the solvers end the process where they meet what they cannot handle. Here each worker is a process that
 computes one unit at a time; one that crashes, or takes too long, is replaced, and its unit is reported as failed.
+
+A worker is forked, in some 10 ms, where a fresh interpreter would import for two to four seconds: from the caller's
+process, as long as that has one thread, as the command line's has; else from a server, a process of one thread that has
+imported the library and does nothing else.
 """
 
 import multiprocessing as mp
@@ -15,8 +19,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import islice
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkContext, ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
@@ -32,6 +37,9 @@ _ONE_THREAD = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
+PRELOADED = ("xdex_drake.dataset.files", "xdex_drake.simulation.lift")
+"""What the server imports; what else a unit needs, its worker imports."""
+
 _FAILED_STARTS = 3
 _GRACE_S = 5.0
 
@@ -66,11 +74,10 @@ def run_units(
 ) -> Iterator[UnitResult[Unit, Value]]:
     """Runs work on each unit, in child processes, and yields the results in the order in which they come.
 
-    A value must depend on its unit only; then the set of results is the same whatever the number of workers. Processes
-    are spawned, not forked, each with one thread for linear algebra. A unit that raises, crashes its process or exceeds
-    the time costs only itself. Where the caller stops early, by Ctrl-C or by closing the iterator, `on_done` still gets
-    the results that were already finished; units that are under way are lost. Workers end when the caller's process
-    does.
+    A value must depend on its unit only; then the set of results is the same whatever the number of workers. Each
+    process uses one thread for linear algebra. A unit that raises, crashes its process or exceeds the time costs only
+    itself. Where the caller stops early, by Ctrl-C or by closing the iterator, `on_done` still gets the results that
+    were already finished; units that are under way are lost. Workers end when the caller's process does.
 
     Args:
         units: The units; taken one by one as workers become free.
@@ -86,7 +93,7 @@ def run_units(
 
     Raises:
         ConfigError: A number is out of range.
-        RuntimeError: Workers end before they begin: `work` cannot be imported, or a script lacks its
+        RuntimeError: Workers end before they begin: `work` cannot be imported, or a script with threads lacks its
             `if __name__ == "__main__":` line.
     """
     if workers < 0 or units_per_process < 1 or (timeout_s is not None and timeout_s <= 0.0):
@@ -195,14 +202,34 @@ def _run_in_processes(
 
 def _start(work: Callable[[Any], Any], units_per_process: int) -> "_Worker[Any]":
     """Starts a process; it says when it is ready."""
-    context = mp.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(work, theirs, units_per_process), daemon=True)
     resource_tracker.ensure_running()  # or else the first start does this, and lets interrupts through again
     with _single_threaded(), _without_interrupts():
+        context = _fork_context()
+        ours, theirs = context.Pipe()
+        # A server has the environment of when it was started.
+        arguments = (work, theirs, units_per_process, dict(os.environ))
+        process = context.Process(target=_serve, args=arguments, daemon=True)
         process.start()
     theirs.close()  # so that our end tells when the process has gone
     return _Worker(process, ours)
+
+
+def _fork_context() -> ForkContext | ForkServerContext:
+    """Forks the caller's process where it has one thread; else a server, which is started where there is none yet."""
+    if _has_one_thread():
+        return mp.get_context("fork")
+    context = mp.get_context("forkserver")
+    context.set_forkserver_preload([*PRELOADED])
+    forkserver.ensure_running()
+    return context
+
+
+def _has_one_thread() -> bool:
+    """Whether this process has one thread, those of native libraries included; not known where there is no /proc."""
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:
+        return False
 
 
 @contextmanager
@@ -305,8 +332,13 @@ def _how_it_ended(process: BaseProcess) -> str:
 # The worker's side ----------------------------------------------------------------------------------------------------
 
 
-def _serve(work: Callable[[Any], Any], connection: Connection, units_per_process: int) -> None:
+def _serve(
+    work: Callable[[Any], Any], connection: Connection, units_per_process: int, environment: dict[str, str]
+) -> None:
     """Computes units until there are no more."""
+    for name in os.environ.keys() - environment.keys():
+        del os.environ[name]
+    os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # also for whatever resets the mask
     threading.Thread(target=_end_with_caller, daemon=True).start()
     with suppress(EOFError, OSError):

@@ -202,9 +202,10 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pa.Tab
         raise GraspFileError(
             f"{target}: there is no column {', '.join(sorted(unknown))}; use {', '.join(SCHEMA.names)}"
         )
-    with _readable(target), pq.ParquetFile(target, page_checksum_verification=True) as file:
+    # Without threads: they gain nothing on files of this size, and a process that has none can be forked.
+    with _readable(target), pq.ParquetFile(target, page_checksum_verification=True, pre_buffer=False) as file:
         _check_schema(file.schema_arrow, target)
-        table = file.read(columns=None if columns is None else list(columns))
+        table = file.read(columns=None if columns is None else list(columns), use_threads=False)
         table.validate(full=True)
         return table
 
