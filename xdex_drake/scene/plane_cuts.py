@@ -90,7 +90,7 @@ def split_by_planes(solid: manifold3d.Manifold, bulge: Bulge, *, share: float, m
     Args:
         solid: The solid, close to the mesh.
         bulge: Height above the mesh, with the target.
-        share: Area that may bulge by more than the target [surface areas].
+        share: Area that may bulge by more than the target [areas of the hulls' union].
         most: Greatest number of pieces before they are joined.
 
     Returns:
@@ -99,7 +99,13 @@ def split_by_planes(solid: manifold3d.Manifold, bulge: Bulge, *, share: float, m
     allowed = share * solid.surface_area()
     pieces = [_piece(body, bulge) for body in solid.decompose() if body.volume() > LEAST_VOLUME]
     whole: list[_Piece] = []  # No cut helps these.
-    while pieces and len(pieces) + len(whole) < most and sum(piece.bad for piece in pieces + whole) > allowed:
+    while pieces and len(pieces) + len(whole) < most:
+        if sum(piece.bad for piece in pieces + whole) <= allowed:
+            union = manifold3d.Manifold.batch_boolean([p.hull for p in pieces + whole], manifold3d.OpType.Add)
+            if (smaller := share * union.surface_area()) > 0.98 * allowed:
+                break
+            allowed = smaller  # The hulls' union has no creases: its area is the smaller one.
+            continue
         worst = pieces.pop(max(range(len(pieces)), key=lambda k: pieces[k].bad))
         halves = _cut(worst, bulge)
         whole += [] if halves else [worst]
