@@ -132,8 +132,9 @@ def _tree(hand: Hand) -> _Tree:
         joining[:6, :6], joining[6:, 6:] = np.eye(6), C
     X_HB = np.eye(4)
     X_HB[:3, :3], X_HB[:3, 3] = hand.R_HB, hand.p_HB
-    moves = np.concatenate([np.ones((len(hand.links), 6)), hand.ancestors.T], axis=1)
-    turns = 1.0 - hand.prismatic
+    moves = np.ones((len(hand.links), 6 + n))
+    moves[:, 6:] = hand.ancestors.T
+    turns = np.where(hand.prismatic, 0.0, 1.0)
     return _Tree(still, sine, versine, slide, turns, axes, moves, joining, X_HB, tree_levels(hand))
 
 

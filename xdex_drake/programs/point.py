@@ -21,7 +21,7 @@ FAR = 0.03
 """Spheres further than this from the object's bounding box are not asked for exact distances [m]."""
 
 CLOSE = 0.02
-"""Rows of larger gaps have no derivative, and spheres that are known to be so far off are not asked for distances [m]."""
+"""Rows of larger gaps have no derivative, and spheres known to be so far off are not asked for distances [m]."""
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,14 @@ allow tiny steps only.
 SLACK = 30.0
 """Linear penalty on the slack of each inequality block."""
 
-SAFE = 0.25
-"""Fraction of the tolerances within which a point counts as feasible to the solver."""
+SAFE = {"m g": 0.9}
+"""Fraction of a unit's tolerance within which a point counts as feasible to the solver; 0.25 where none is named.
+
+Forces need no more room to spare: they are balanced exactly afterwards, where the hand is not moved any more.
+"""
+
+SLACK_CURVATURE = 1e-2
+"""Quadratic penalty on slacks. With a tenth of it, one subproblem in a hundred took DAQP thousands of iterations."""
 
 FAR_ROWS = 15.0
 """Inequality rows slacker than this are left out of a subproblem [mm]."""
@@ -92,8 +98,17 @@ def _merit(program: GraspProgram, rows: _Rows, point: Point, loose: bool) -> tup
     return cost + penalty, penalty
 
 
+def _length(move: Array, n: int) -> float:
+    """The smallest trust region that holds a step."""
+    scaled = np.abs(move[: 6 + n])
+    scaled[3:6] *= 10.0
+    return float(scaled.max())
+
+
 def _holds(program: GraspProgram, point: Point) -> bool:
-    return all(block.violation(point) <= SAFE * TOLERANCES[block.unit] for block in program.constraints)
+    return all(
+        block.violation(point) <= SAFE.get(block.unit, 0.25) * TOLERANCES[block.unit] for block in program.constraints
+    )
 
 
 def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loose: bool) -> tuple[Array, float]:
@@ -114,7 +129,7 @@ def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loo
     whole = size + slacks
     H, f = np.zeros((whole, whole)), np.zeros(whole)
     H.flat[: size * whole : whole + 1] = 1e-4
-    H.flat[size * (whole + 1) :: whole + 1] = 1e-3
+    H.flat[size * (whole + 1) :: whole + 1] = SLACK_CURVATURE
     f[size:] = SLACK
     P, c = H[:size, :size], f[:size]
     for cost in program.costs:
@@ -186,7 +201,8 @@ def solve_sequential(
             trial_merit, trial_penalty = _merit(program, rows, trial, loose)
             gain = merit - trial_merit
             if gain < 0.25 * promised:
-                reach *= 0.25
+                # A trust region that the step did not fill must shrink to the step first.
+                reach = 0.25 * min(reach, _length(move, len(point.k.q)))
             elif gain > 0.75 * promised:
                 reach = min(2.0 * reach, 0.4)
             if gain > 0.01 * promised:
