@@ -126,9 +126,9 @@ def _piece(solid: manifold3d.Manifold, bulge: Bulge) -> _Piece:
     return _Piece(solid, hull, hull.volume() - solid.volume(), bad, deep)
 
 
-def _bad_area(hull: manifold3d.Manifold, bulge: Bulge) -> tuple[float, tuple[Array, Array]]:
+def _bad_area(hull: manifold3d.Manifold, bulge: Bulge, spacing: float = SPACING) -> tuple[float, tuple[Array, Array]]:
     area = hull.surface_area()
-    points = sample_surface(*_arrays(hull), int(np.clip(area / SPACING**2, 100, 4000)), 0)[0]
+    points = sample_surface(*_arrays(hull), int(np.clip(area / spacing**2, 100, 4000)), 0)[0]
     height, closest = bulge.of(points)
     order, chosen = np.argsort(-height, kind="stable"), []
     for k in order[: np.count_nonzero(height)]:
@@ -216,16 +216,24 @@ def _joined(pieces: list[_Piece], bulge: Bulge, allowed: float) -> list[_Piece]:
         bad, deep = _bad_area(hull, bulge)
         cost = bad - pieces[i].bad - pieces[j].bad
         if cost <= allowed:
-            joints[i, j] = (cost, _Piece(None, hull, 0.0, bad, deep))
+            joints[i, j] = (cost, _Piece(None, hull, 0.0, bad, deep), False)
 
     for i in range(len(pieces)):
         for j in range(i):
             consider(i, j)
     while joints:
         pair = min(joints, key=lambda key: (joints[key][0], key))
-        cost, joint = joints[pair]
+        cost, joint, sure = joints[pair]
         if total + cost > allowed:
             break
+        if (
+            not sure
+        ):  # What looks best among many is likely to have been measured too well: once more, with more points.
+            bad, deep = _bad_area(joint.hull, bulge, SPACING / 3.0)
+            bad = max(bad, joint.bad)
+            cost = bad - sum(pieces[k].bad for k in pair)
+            joints[pair] = (cost, _Piece(None, joint.hull, 0.0, bad, deep), True)
+            continue
         total += cost
         alive -= set(pair)
         joints = {key: value for key, value in joints.items() if not set(key) & set(pair)}
