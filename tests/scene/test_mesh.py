@@ -261,7 +261,7 @@ def test_two_million_triangles_are_simplified_and_the_error_is_told():
 def test_a_split_that_takes_too_long_is_done_coarsely(cube, monkeypatch):
     angle = trimesh.boolean.difference([cube, cube.copy().apply_translation([0.01, 0.01, 0.0])], engine="manifold")
     vertices, faces = np.asarray(angle.vertices), np.asarray(angle.faces, dtype=np.int64)
-    monkeypatch.setattr(split_process, "FINE_CPU_S", {True: -2.0, False: -2.0})
+    monkeypatch.setattr(split_process, "FINE_CPU_S", -2.0)
     parts, note = split_in_process(vertices, faces, likely=True)
     assert parts and note.startswith(COARSELY)
     monkeypatch.setattr(split_process, "COARSE_CPU_S", -2.0)

@@ -1,8 +1,7 @@
 """Splits a mesh into convex parts in a process of its own, within limits of time and memory.
 
 The libraries that split and mend meshes end the process, or do not return, on some broken input. Time is counted on the
-processor, so that a busy machine changes no result; a wall limit, which is short for meshes that are hardly ones of an
-object, ends what waits for nothing.
+processor, so that a busy machine changes no result; a wall limit ends what waits for nothing.
 """
 
 import logging
@@ -21,17 +20,17 @@ from xdex_drake.scene.distance import Part
 
 _log = logging.getLogger(__name__)
 
-FINE_CPU_S = {True: 60.0, False: 7.0}
-"""Processor time for likely meshes (40 everyday ones, closed or not, took 50 s at most), and for unlikely ones [s]."""
+FINE_CPU_S = 60.0
+"""Processor time of the fine split (40 everyday meshes, closed or not, took 50 s at most) [s]."""
 
-FINE_WALL_S = {True: 130.0, False: 13.0}
+FINE_WALL_S = 130.0
 """Time by the clock of the same [s]."""
 
-COARSE_CPU_S = 7.0
-"""Processor time of the coarser split that is tried where that was not enough [s]."""
+COARSE_CPU_S = 14.0
+"""Processor time of the coarser split, for what is hardly an object and where the fine one was not enough [s]."""
 
-COARSE_WALL_S = 13.0
-"""Time by the clock of the same [s]: with the fine split, an unlikely mesh takes less than 30 s on a busy machine."""
+COARSE_WALL_S = 22.0
+"""Time by the clock of the same [s]: an unlikely mesh takes less than 30 s with what comes before."""
 
 MEMORY_BYTES = 6_000_000_000
 COARSELY = "split coarsely"
@@ -43,7 +42,7 @@ def split_in_process(vertices: Array, faces: Faces, *, likely: bool) -> tuple[tu
     Args:
         vertices: Vertices [m], shape (n, 3).
         faces: Outward triangles, shape (m, 3).
-        likely: Whether the mesh looks like one of an object, which is worth more time.
+        likely: Whether the mesh looks like one of an object, which is worth more time; others are split coarsely.
 
     Returns:
         The parts, and a sentence where they are the coarser ones, else empty.
@@ -54,13 +53,16 @@ def split_in_process(vertices: Array, faces: Faces, *, likely: bool) -> tuple[tu
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         np.savez(folder / "mesh.npz", vertices=vertices, faces=faces)
-        failure = _run(folder, "fine", FINE_CPU_S[likely], FINE_WALL_S[likely])
-        if not failure or (folder / "fine.npz").exists():  # Parts that were to be refined are good enough.
-            return _read(folder / "fine.npz"), ""
-        _log.warning("splitting a mesh of %d triangles: %s; it is split coarsely", len(faces), failure)
-        again = _run(folder, "coarse", COARSE_CPU_S, COARSE_WALL_S)
-        if not again:
-            return _read(folder / "coarse.npz"), f"{COARSELY}, as the fine way {failure}"
+        reason = "the mesh is much folded or broken"
+        if likely:
+            failure = _run(folder, "fine", FINE_CPU_S, FINE_WALL_S)
+            if not failure or (folder / "fine.npz").exists():  # Parts that were to be refined are good enough.
+                return _read(folder / "fine.npz"), ""
+            reason = f"the fine way {failure}"
+        _log.warning("a mesh of %d triangles is split coarsely, as %s", len(faces), reason)
+        failure = _run(folder, "coarse", COARSE_CPU_S, COARSE_WALL_S)
+        if not failure:
+            return _read(folder / "coarse.npz"), f"{COARSELY}, as {reason}"
     raise ObjectFileError(f"cannot be split into convex parts: it {failure}; repair or simplify the mesh")
 
 
@@ -119,7 +121,10 @@ def main() -> None:
         sys.exit(1)
     _write(folder / f"{way}.npz", parts)
     if way == "fine":
-        _write(folder / "fine.npz", refine(vertices, faces, parts))
+        try:
+            _write(folder / "fine.npz", refine(vertices, faces, parts))
+        except ObjectFileError as error:
+            _log.info("parts are left as they are: %s", error)
 
 
 def _write(file: Path, parts: tuple[Part, ...]) -> None:
