@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import qpsolvers
 from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import MathematicalProgram
 
@@ -281,6 +280,8 @@ def balance_linearized(
     Raises:
         ConfigError: Shapes do not match, a number is out of range, or the solver is not installed.
     """
+    import qpsolvers  # imports every solver that is installed, and nothing else needs it
+
     start = time.perf_counter()
     G, mus, n = check_grasp(G, mu, length, safety)
     A, e = check_effort(A, effort, n)
