@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from xdex_drake.contact.certificate import check_certificate
+from xdex_drake.contact.certificate import check_certificate, contact_geometry
 from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
-from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp, straight_approach
+from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp, squeeze_targets, straight_approach
 from xdex_drake.simulation.protocol import LIFT
 
 
@@ -169,3 +169,29 @@ def test_a_finished_grasp_has_a_straight_approach(grasps, hand, scene):
         way = straight_approach(hand, scene, grasp.X_WH_pregrasp, grasp.q_pregrasp)
         assert way is not None and way.clearance >= 2e-3
         assert np.linalg.norm(way.direction_W) == pytest.approx(1.0)
+
+
+def pressing(grasp, hand, scene, factor):
+    """The grasp with the least forces that carry the object at the peak of the rise, for friction mu / factor."""
+    cp = pytest.importorskip("cvxpy")
+    contacts = grasp.certificate.contacts
+    p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
+    _, G = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), scene.object.p_OOcm)
+    load = scene.object.mass * (9.81 + 6.0 * LIFT.rise_m / LIFT.rise_s**2)
+    f = cp.Variable((len(contacts), 3))
+    scale = np.array([1e2, 1e2, 1e2, 1.0, 1.0, 1.0])
+    balance = (scale[:, None] * G) @ cp.vec(f, order="C") == np.array([0.0, 0.0, 0.0, 0.0, 0.0, load])
+    cones = [cp.SOC(scene.object.friction / factor * f[k, 2], f[k, :2]) for k in range(len(contacts))]
+    cp.Problem(cp.Minimize(cp.sum(f[:, 2])), [balance, *cones]).solve(solver="CLARABEL")
+    pressed = tuple(replace(c, f_C=force) for c, force in zip(contacts, f.value, strict=True))
+    other = replace(grasp, certificate=replace(grasp.certificate, contacts=pressed))
+    return replace(other, q_squeeze=squeeze_targets(hand, other, scene, LIFT.plant.kp))
+
+
+def test_a_hand_lifts_with_a_fifth_more_than_friction_needs_and_not_with_a_third_less(
+    rig, hand, scene, grasps, verdicts
+):
+    lifted = [grasp for grasp, verdict in zip(grasps, verdicts, strict=True) if verdict.success][:3]
+    for grasp in lifted:
+        assert simulate_lift(rig, pressing(grasp, hand, scene, 1.2)).success
+        assert simulate_lift(rig, pressing(grasp, hand, scene, 0.65)).failure_reason == "slipped"

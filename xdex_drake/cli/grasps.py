@@ -292,7 +292,9 @@ class LiftCommand:
             )
             for k, item in enumerate(stored)
         ]
-        rows = []
+        # Lifts of one hand and scene in a row, which share a plant.
+        units.sort(key=lambda unit: (unit.hand, unit.scene.scene_id))
+        rows = {}
         tallies: dict[tuple[str, str], list] = {}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
             for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
@@ -303,10 +305,10 @@ class LiftCommand:
                 tally[2] += verdict.success == row["success"]
                 if not verdict.success:
                     tally[3][verdict.failure_reason] = tally[3].get(verdict.failure_reason, 0) + 1
-                rows.append({**row, **lift_columns(verdict)})
+                rows[unit.index] = {**row, **lift_columns(verdict)}
                 bar.update()
         if rows:
-            write_grasps(self.out, rows, metadata=hand_paths_entry(paths))
+            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(paths))
         lines = [(*key, n, good, same, counts(failed)) for key, (n, good, same, failed) in tallies.items()]
         print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
