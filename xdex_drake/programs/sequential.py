@@ -38,6 +38,13 @@ SAFE = {"m g": 0.9}
 Forces need no more room to spare: they are balanced exactly afterwards, where the hand is not moved any more.
 """
 
+HOPELESS = 8.0
+"""Penalty after the first half of the iterations above which the second is not begun where any feasible point will do.
+
+Of 228 candidates of a search (Allegro; can, mug, box) 65 end so, and the second half mends one of them: leaving it out
+saves a sixth of all iterations for a 136th of the successes.
+"""
+
 SLACK_CURVATURE = 1e-2
 """Quadratic penalty on slacks. With a tenth of it, one subproblem in a hundred took DAQP thousands of iterations."""
 
@@ -183,7 +190,8 @@ def solve_sequential(
         iterations: Greatest number of subproblems.
         trust: First trust region [rad].
         improvement: At a point where all constraints hold with room to spare, the solver stops once a step lowers the
-            costs by less than this. Infinity stops at the first such point, where costs serve as a preference only.
+            costs by less than this. Infinity stops at the first such point, where costs serve as a preference only,
+            and gives up where the first half of the iterations left more than `HOPELESS`: there are other candidates.
 
     Returns:
         The last point that lowered the merit, and the number of subproblems solved.
@@ -211,6 +219,8 @@ def solve_sequential(
                     return point, count
             if reach < 1e-4:
                 break
+        if penalty > HOPELESS and improvement == np.inf:
+            break
         # The stiff penalty sees the curvature that the loose one let pass.
         reach = min(max(reach, 0.003), 0.03)
     return point, count
