@@ -21,7 +21,7 @@ from xdex_drake.scene.distance import Part
 _log = logging.getLogger(__name__)
 
 FINE_CPU_S = 60.0
-"""Processor time of the fine split (40 everyday meshes, closed or not, took 50 s at most) [s]."""
+"""Processor time of the fine split (the longest of the everyday meshes measured took 50 s) [s]."""
 
 FINE_WALL_S = 130.0
 """Time by the clock of the same [s]."""
@@ -30,7 +30,7 @@ COARSE_CPU_S = 14.0
 """Processor time of the coarser split, for what is hardly an object and where the fine one was not enough [s]."""
 
 COARSE_WALL_S = 22.0
-"""Time by the clock of the same [s]: an unlikely mesh takes less than 30 s with what comes before."""
+"""Time by the clock of the same [s]: with what comes before, an unlikely mesh takes about 30 s at most."""
 
 MEMORY_BYTES = 6_000_000_000
 COARSELY = "split coarsely"
