@@ -177,7 +177,7 @@ def run_unit(unit: Unit, config: DatasetConfig) -> list[Row]:
     source = hands[unit.hand]
     path = config.objects[unit.object]
     scene = make_scene(load_object(path, mass=config.mass), seed=config.seed + unit.scene)
-    settings = replace(SynthesisSettings(), batch=config.candidates, keep=0.75)
+    settings = replace(SynthesisSettings(), batch=config.candidates)
     seed = int(np.random.SeedSequence([config.seed, unit.hand, unit.object, unit.scene]).generate_state(1)[0])
     tally = Tally()
     grasps = [

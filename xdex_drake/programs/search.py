@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -64,6 +64,8 @@ class SearchSettings:
     Attributes:
         weights: Weights of the energy.
         iterations: Number of Adam steps.
+        halfway: Fraction of the steps after which the candidates of highest energy are dropped.
+        survivors: Fraction of the candidates that go on from there.
         translation_step: First step of the wrist [m].
         rotation_step: First step of the wrist [rad].
         joint_step: First step of the joints, as a fraction of one radian.
@@ -82,6 +84,8 @@ class SearchSettings:
 
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     iterations: int = 100
+    halfway: float = 0.3
+    survivors: float = 0.5
     translation_step: float = 0.004
     rotation_step: float = 0.04
     joint_step: float = 0.04
@@ -352,6 +356,11 @@ class State:
     fingers: torch.Tensor
     forces: torch.Tensor
 
+    def keep(self, rows: torch.Tensor) -> None:
+        """Drops all candidates but some, given by their indices."""
+        for name in ("R_WH", "p_WH", "q", "fingers", "forces"):
+            setattr(self, name, getattr(self, name)[rows])
+
 
 def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
     """Energy of Eq. (1) for each candidate, with its gradient.
@@ -462,9 +471,11 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
 def descend(problem: SearchProblem, state: State) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
     """Adam on the tangent, in place; joints are clipped to their limits.
 
+    Part of the way down, candidates of high energy are dropped: hardly one of them is ever certified.
+
     Args:
         problem: The problem.
-        state: The candidates, moved in place.
+        state: The candidates, moved in place; `settings.survivors` of them are left, in their order.
 
     Returns:
         Energy at the end, shape (B,), and its unweighted terms.
@@ -479,8 +490,13 @@ def descend(problem: SearchProblem, state: State) -> tuple[torch.Tensor, dict[st
     m = torch.zeros((state.q.shape[0], 6 + n), dtype=state.q.dtype, device=state.q.device)
     v = torch.zeros_like(m)
     low, high = problem.batched.limits
+    halfway = round(settings.halfway * settings.iterations)
     for k in range(settings.iterations):
-        _, gradient, _ = evaluate(problem, state)
+        energy, gradient, _ = evaluate(problem, state)
+        if k == halfway and settings.survivors < 1.0:
+            rows = torch.argsort(energy)[: max(1, round(settings.survivors * len(energy)))].sort().values
+            state.keep(rows)
+            gradient, m, v = gradient[rows], m[rows], v[rows]
         m = 0.9 * m + 0.1 * gradient
         v = 0.98 * v + 0.02 * gradient * gradient
         rate = first * (0.03 + 0.97 * 0.5 * (1.0 + np.cos(np.pi * k / settings.iterations)))
@@ -621,13 +637,13 @@ def search(
     Args:
         hand: The hand.
         scene: The scene.
-        count: Number of candidates.
+        count: Number of starts.
         seed: Seed.
         settings: Settings; the defaults where None.
         device: Torch device.
 
     Returns:
-        The candidates, lowest energy first.
+        The candidates that are left of them (`settings.survivors`), lowest energy first.
     """
     problem = search_problem(hand, scene, settings, device=device)
     with torch.no_grad(), _one_thread():
@@ -652,7 +668,7 @@ def refine(
     Returns:
         The candidates, in the order of the starts.
     """
-    problem = search_problem(hand, scene, settings, device=device)
+    problem = search_problem(hand, scene, replace(settings, survivors=1.0), device=device)
 
     def tensor(values: Array) -> torch.Tensor:
         return torch.tensor(values, dtype=problem.batched.dtype, device=device)
