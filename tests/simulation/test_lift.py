@@ -13,7 +13,14 @@ from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
-from xdex_drake.simulation.pregrasp import CLEARANCE, pregrasp, squeeze_targets, straight_approach
+from xdex_drake.simulation.pregrasp import (
+    CLEARANCE,
+    RULE_CLOSING,
+    pregrasp,
+    squeeze_by_rule,
+    squeeze_targets,
+    straight_approach,
+)
 from xdex_drake.simulation.protocol import LIFT
 
 
@@ -195,3 +202,23 @@ def test_a_hand_lifts_with_a_fifth_more_than_friction_needs_and_not_with_a_third
     for grasp in lifted:
         assert simulate_lift(rig, pressing(grasp, hand, scene, 1.2)).success
         assert simulate_lift(rig, pressing(grasp, hand, scene, 0.65)).failure_reason == "slipped"
+
+
+def test_grasps_without_a_certificate_are_squeezed_by_one_rule(rig, hand, scene, grasps, verdicts):
+    lifted = 0
+    for grasp in grasps[:8]:
+        q = squeeze_by_rule(hand, replace(grasp, certificate=None, q_squeeze=None), scene, LIFT.plant.kp)
+        assert np.all(np.abs(q - grasp.q) * LIFT.plant.kp <= hand.effort + 1e-9)
+        lifted += simulate_lift(rig, replace(grasp, certificate=None, q_squeeze=q)).success
+    assert lifted >= sum(v.success for v in verdicts[:8]) - 2
+
+
+def test_a_hand_away_from_the_object_closes_by_a_tenth_of_its_range(hand, scene, grasps):
+    grasp = grasps[0]
+    aside = RigidTransform(grasp.X_WH.rotation(), grasp.X_WH.translation() + np.array([0.0, 0.0, 0.5]))
+    step = squeeze_by_rule(hand, replace(grasp, X_WH=aside), scene, LIFT.plant.kp) - grasp.q
+    low, high = hand.limits
+    closed = np.sign(grasp.q - grasp.q_pregrasp)
+    assert np.all(step * closed >= 0.0) and np.all(np.abs(step) <= RULE_CLOSING * (high - low) + 1e-12)
+    inside = np.abs(np.clip(grasp.q, low + 0.2 * (high - low), high - 0.2 * (high - low)) - grasp.q) == 0.0
+    np.testing.assert_allclose(np.abs(step[inside]), (RULE_CLOSING * (high - low) * np.abs(closed))[inside])

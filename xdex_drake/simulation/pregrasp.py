@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import map_coordinates
 
 from xdex_drake.contact.certificate import contact_geometry
+from xdex_drake.contact.wrench import balance, gravity_wrench
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import Configuration
@@ -21,6 +22,15 @@ from xdex_drake.scene.tabletop import Scene
 
 CLEARANCE = 5e-3
 """Gap that a pre-grasp keeps from the object, everywhere [m]."""
+
+RULE_GAP = 0.01
+"""Gap up to which `squeeze_by_rule` takes a link for a contact [m]."""
+
+RULE_FRICTION = (0.55, 0.85)
+"""Fractions of the friction that its forces try in turn."""
+
+RULE_CLOSING = 0.1
+"""Fraction of its range by which a joint closes where no forces are found."""
 
 NO_CONTACTS = ContactSet(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
@@ -186,3 +196,49 @@ def straight_approach(
         if (least := float(gaps.min())) >= clearance:
             return Approach(unit, least, height)
     return None
+
+
+def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
+    """Joint targets that squeeze a grasp without a certificate, by one rule for every method.
+
+    Each link that is within 10 mm of the object is taken for a contact at its nearest point, and the balance program
+    gives the forces. Where it finds none, each joint goes on by a tenth of its range in the sense in which it closed.
+
+    Args:
+        hand: The hand.
+        grasp: A grasp with a pre-grasp.
+        scene: The scene.
+        kp: Proportional gain of the joints [N m/rad].
+
+    Returns:
+        Targets [rad or m], shape (n,).
+    """
+    assert grasp.q_pregrasp is not None
+    k, model = Configuration.at(hand, grasp.X_WH, grasp.q), scene.object
+    point = Point(k, scene, NO_CONTACTS, np.zeros((0, 3)))
+    near, gaps, outward = point.object_distances
+    links = hand.sphere_links[near]
+    first = np.lexsort((gaps, links))
+    rows = first[np.flatnonzero(np.diff(links[first], prepend=-1))]  # of each link the nearest sphere
+    rows = rows[gaps[rows] < RULE_GAP]
+    if len(rows):
+        n_WCs = -outward[rows]
+        p_WCs = point.centers_W[near[rows]] + (gaps[rows] + hand.spheres[near[rows], 3])[:, None] * n_WCs
+        X_OW, R_WO = scene.X_WO.inverse(), scene.X_WO.rotation().matrix()
+        R_WCs, G = contact_geometry((X_OW @ p_WCs.T).T, n_WCs @ R_WO, R_WO, model.p_OOcm)
+        J = k.jacobian(links[rows], p_WCs)[:, :, 6:]
+        A = (np.swapaxes(R_WCs, 1, 2) @ J).reshape(-1, J.shape[-1]).T
+        for safety in RULE_FRICTION:
+            forces = balance(
+                G,
+                model.friction,
+                gravity_wrench(model.mass),
+                A=A,
+                effort=hand.effort,
+                length=model.length,
+                safety=safety,
+            )
+            if forces.solved:
+                return grasp.q + np.clip(A @ forces.f, -hand.effort, hand.effort) / kp
+    low, high = hand.limits
+    return np.clip(grasp.q + RULE_CLOSING * (high - low) * np.sign(grasp.q - grasp.q_pregrasp), low, high)
