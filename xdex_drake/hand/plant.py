@@ -1,5 +1,7 @@
 """A hand in a Drake plant. Programs, inverse kinematics and simulation all build their plants by this one function."""
 
+from functools import lru_cache
+
 import numpy as np
 from pydrake.geometry import (
     AddContactMaterial,
@@ -36,6 +38,9 @@ JOINT_DAMPING = 0.01
 
 DISSIPATION = 10.0
 """Hunt-Crossley dissipation of point contact, where a stiffness is given [s/m]: a touch does not bounce."""
+
+FACET_RAD = np.pi / 18.0
+"""Angle between neighbouring facets of a round shape in contact [rad]."""
 
 FINGER_COLORS = {
     "thumb": (0.84, 0.42, 0.30),
@@ -131,6 +136,49 @@ def drake_shape(shape: Geometry, name: str) -> tuple[Shape, RigidTransform]:
     return DrakeConvex(shape.vertices.T, name), RigidTransform()
 
 
+def contact_shape(shape: Geometry, name: str) -> tuple[Shape, RigidTransform]:
+    """The shape that a primitive has in contact: round ones become polyhedra with facets of `FACET_RAD`.
+
+    Drake finds the normal of point contact with a convex mesh by minkowski portal refinement, and where the boundary
+    of the Minkowski sum is curved, a sphere or a capsule on an edge or a corner of the mesh, it returns the direction
+    between the centers of the two shapes instead: wrong by 17 degrees in the median and by up to 59 on the rim of a
+    disk. Where both have facets the normal is that of a facet: wrong by less than 2 degrees in the median.
+
+    Args:
+        shape: The primitive, in L.
+        name: Label of a convex hull in Drake's messages.
+
+    Returns:
+        The shape in its own frame G, and X_LG.
+    """
+    if isinstance(shape, Sphere):
+        ends, radius, R = [shape.center], shape.radius, np.eye(3)
+    elif isinstance(shape, Capsule):
+        d = shape.p1 - shape.p0
+        length = float(np.linalg.norm(d))
+        ends, radius, R = [shape.p1], shape.radius, np.eye(3)
+        if length > 1e-9:
+            ends, R = [shape.p1, shape.p0], RotationMatrix.MakeFromOneVector(d / length, 2).matrix()
+    else:
+        return drake_shape(shape, name)
+    # Half of the facets' sag outward, so that the polyhedron is as often too large as too small.
+    half = (1.0 + FACET_RAD**2 / 16.0) * radius * _half_sphere() @ R.T
+    points = np.vstack([ends[0] + half, ends[-1] - half])
+    return DrakeConvex(points.T, name), RigidTransform()
+
+
+@lru_cache(maxsize=1)
+def _half_sphere() -> Array:
+    """Points of the unit half sphere z >= 0 on rings about z, `FACET_RAD` apart, shape (n, 3)."""
+    rings = []
+    for latitude in np.linspace(0.0, 0.5 * np.pi, round(0.5 * np.pi / FACET_RAD) + 1):
+        count = max(1, round(2.0 * np.pi * np.cos(latitude) / FACET_RAD))
+        angle = 2.0 * np.pi * np.arange(count) / count
+        ring = [np.cos(latitude) * np.cos(angle), np.cos(latitude) * np.sin(angle), np.full(count, np.sin(latitude))]
+        rings.append(np.column_stack(ring))
+    return np.vstack(rings)
+
+
 def _spatial_inertia(link: Link) -> SpatialInertia:
     I = link.I_LLcm  # noqa: E741
     inertia = RotationalInertia(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
@@ -165,8 +213,9 @@ def _add_geometry(
     ids = []
     for k, primitive in enumerate(link.geometry):
         name = f"{link.name}_{k}"
+        touching, X_LC = contact_shape(primitive, name)
+        ids.append(plant.RegisterCollisionGeometry(body, X_LC, touching, name, properties))
         shape, X_LG = drake_shape(primitive, name)
-        ids.append(plant.RegisterCollisionGeometry(body, X_LG, shape, name, properties))
         plant.RegisterVisualGeometry(body, X_LG, shape, name, color)
     return ids
 
