@@ -38,7 +38,7 @@ class Demo:
         out: Folder of the report.
         quick: One object and one other hand.
         seed: Seed; another seed gives other grasps.
-        workers: Number of processes; 1 works without starting any.
+        workers: Number of processes; one at a time where 1.
     """
 
     out: Path = Path("report")

@@ -151,20 +151,13 @@ def contact_shape(shape: Geometry, name: str) -> tuple[Shape, RigidTransform]:
     Returns:
         The shape in its own frame G, and X_LG.
     """
-    if isinstance(shape, Sphere):
-        ends, radius, R = [shape.center], shape.radius, np.eye(3)
-    elif isinstance(shape, Capsule):
-        d = shape.p1 - shape.p0
-        length = float(np.linalg.norm(d))
-        ends, radius, R = [shape.p1], shape.radius, np.eye(3)
-        if length > 1e-9:
-            ends, R = [shape.p1, shape.p0], RotationMatrix.MakeFromOneVector(d / length, 2).matrix()
-    else:
-        return drake_shape(shape, name)
+    smooth, X_LG = drake_shape(shape, name)
+    if not isinstance(smooth, DrakeSphere | DrakeCapsule):
+        return smooth, X_LG
+    length = smooth.length() if isinstance(smooth, DrakeCapsule) else 0.0
     # Half of the facets' sag outward, so that the polyhedron is as often too large as too small.
-    half = (1.0 + FACET_RAD**2 / 16.0) * radius * _half_sphere() @ R.T
-    points = np.vstack([ends[0] + half, ends[-1] - half])
-    return DrakeConvex(points.T, name), RigidTransform()
+    half = (1.0 + FACET_RAD**2 / 16.0) * smooth.radius() * _half_sphere() + np.array([0.0, 0.0, 0.5 * length])
+    return DrakeConvex(np.vstack([half, -half]).T, name), X_LG
 
 
 @lru_cache(maxsize=1)
