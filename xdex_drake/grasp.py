@@ -58,6 +58,18 @@ class Certificate:
     witness_forces: Array = field(default_factory=lambda: np.zeros((12, 0)))
     witness_direction: Array = field(default_factory=lambda: np.zeros(6))
 
+    @property
+    def friction_left(self) -> float:
+        """Share of the friction that the forces leave unused at the contact that uses most of it.
+
+        Of the numbers here it tells best which grasps lift (`studies/margins`): least forces that need nearly all of
+        the friction slip at the smallest error.
+        """
+        f = np.array([contact.f_C for contact in self.contacts]).reshape(-1, 3)
+        mu = np.array([contact.mu for contact in self.contacts])
+        used = np.hypot(f[:, 0], f[:, 1]) / np.maximum(mu * f[:, 2], 1e-12)
+        return 1.0 - float(np.max(used, initial=0.0))
+
 
 @dataclass(frozen=True)
 class Lift:

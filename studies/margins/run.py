@@ -84,13 +84,11 @@ def rows_of(population: str, hand_name: str, object_name: str, count: int) -> It
         if (proof := grasp.certificate) is not None:
             points, normals = np.array([c.p_OC for c in proof.contacts]), np.array([c.n_OC for c in proof.contacts])
             G = contact_geometry(points, normals, proof.R_WO, proof.p_OOcm)[1]
-            f, mu = np.array([c.f_C for c in proof.contacts]), proof.contacts[0].mu
             margins = {
                 "task_margin": proof.task_margin,
                 "ball_margin": proof.margin_lower,
-                "epsilon": epsilon_linearized(G, mu, length=proof.length),
-                # The share of the friction that the squeeze leaves unused where it uses most.
-                "friction_left": 1.0 - float((np.hypot(f[:, 0], f[:, 1]) / (mu * f[:, 2])).max()),
+                "epsilon": epsilon_linearized(G, proof.contacts[0].mu, length=proof.length),
+                "friction_left": proof.friction_left,
             }
         verdicts = simulate_lift(rig, grasp), lift(grasp, hand, hard_scene, protocol=hard)
         row = {"population": population, "hand": hand_name, "object": Path(object_name).stem}

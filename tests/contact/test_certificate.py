@@ -96,3 +96,24 @@ def test_contact_frames_are_fixed_to_the_object():
     R_WCs, G = contact_geometry(p, normals, R_WO, np.zeros(3))
     assert R_WCs == pytest.approx(R_WO @ contact_frames(normals))
     assert pytest.approx(normals @ R_WO.T) == G[3:].reshape(3, 3, 3)[:, :, 2].T
+
+
+def test_friction_left_is_what_the_forces_were_told_to_spare():
+    certificate = certified()
+    for safety in (0.9, 0.7):
+        result = make(
+            [c.p_OC for c in certificate.contacts],
+            [c.n_OC for c in certificate.contacts],
+            R_WO=certificate.R_WO,
+            safety=safety,
+            min_normal=0.3,
+        )
+        if result.certificate is not None:
+            assert result.certificate.friction_left >= 1.0 - safety - 1e-9
+    pushed = replace(
+        certificate, contacts=tuple(replace(c, f_C=np.array([0.0, 0.0, 1.0])) for c in certificate.contacts)
+    )
+    assert pushed.friction_left == 1.0
+    first, *others = pushed.contacts
+    at_the_edge = replace(first, f_C=np.array([0.0, 2.0 * first.mu, 2.0]))
+    assert replace(pushed, contacts=(at_the_edge, *others)).friction_left == pytest.approx(0.0)

@@ -83,6 +83,7 @@ class Solve:
             assert grasp.certificate is not None and grasp.lift is not None
             proof, lift = grasp.certificate, grasp.lift
             lines += [
+                ("friction left", proof.friction_left),
                 ("task margin", proof.task_margin),
                 ("ball margin", f"{proof.margin_lower:.4f} to {proof.margin_upper:.4f}"),
                 ("penetration [mm]", 1e3 * grasp.penetration_parts_m),

@@ -407,6 +407,7 @@ def _still_card(grasps: Sequence[Grasp], hands: Sequence[Hand], title: str) -> t
     if len(grasps) == 1 and (certificate := grasps[0].certificate) is not None:
         rows += [
             ("contacts", ", ".join(contact.link for contact in certificate.contacts)),
+            ("friction left", f"{100.0 * certificate.friction_left:.0f} %"),
             ("task margin", f"{certificate.task_margin:.2f}"),
             ("ball margin", f"{certificate.margin_lower:.3f}"),
         ]

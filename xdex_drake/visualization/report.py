@@ -285,6 +285,7 @@ def _figures(grasp: Grasp) -> list[tuple[str, str]]:
         figures += [
             ("contacts", str(len(certificate.contacts))),
             ("residual", _number(certificate.wrench_residual, ".1e")),
+            ("friction left", _number(100.0 * certificate.friction_left, ".0f", " %")),
             ("task margin", _number(certificate.task_margin, ".2f")),
             (
                 "ball margin",
