@@ -62,8 +62,8 @@ class Certificate:
     def friction_left(self) -> float:
         """Share of the friction that the forces leave unused at the contact that uses most of it.
 
-        Of the numbers here it tells best which grasps lift (`studies/margins`): least forces that need nearly all of
-        the friction slip at the smallest error.
+        Of grasps that merely touch it tells as well as the task margin which ones lift (`studies/margins`): least
+        forces that need nearly all of the friction slip at the smallest error.
         """
         f = np.array([contact.f_C for contact in self.contacts]).reshape(-1, 3)
         mu = np.array([contact.mu for contact in self.contacts])
