@@ -152,6 +152,20 @@ def test_stable_poses_of_a_box_are_three_and_add_up(objects):
     assert all(pose.tilt_rad < np.deg2rad(0.5) for pose in poses)
 
 
+def test_facets_that_trimesh_loses_to_slivers_are_found_again(objects, monkeypatch):
+    real, hulls = trimesh.poses.compute_stable_poses, []
+
+    def lossy(hull, **options):
+        hulls.append(hull)
+        poses, probabilities = real(hull, **options)
+        return (poses, probabilities) if len(hulls) > 1 else (poses[:0], probabilities[:0])
+
+    monkeypatch.setattr(trimesh.poses, "compute_stable_poses", lossy)
+    poses = stable_poses(objects["box"])
+    assert len(hulls) == 2 and len(poses) == 3
+    assert sum(pose.probability for pose in poses) == pytest.approx(1.0)
+
+
 def test_symmetry_makes_one_pose_of_many_facets(objects):
     assert len(stable_poses(objects["can"])) == 2  # On its side, and on either end.
 

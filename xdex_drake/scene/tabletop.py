@@ -23,6 +23,11 @@ from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, ObjectModel,
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
+ROUNDING = (0.0, 1e-4, 3e-4, 1e-3)
+"""Roundings of the hull's points that are tried until its facets account for `MOST` of the orientations [m]."""
+
+MOST = 0.8
+
 LEAST_PROBABILITY = 0.01
 """Poses on a facet that are rarer are left out of `stable_poses`."""
 
@@ -240,10 +245,22 @@ def _tilt(R_WO: RotationMatrix, other: RotationMatrix) -> float:
 
 
 def _facets(object: ObjectModel) -> tuple[Array, Array]:
-    """Poses on the facets of the convex hull, shape (n, 4, 4), and their probabilities, shape (n,)."""
-    hull = trimesh.Trimesh(_points(object), process=False).convex_hull
-    poses, probabilities = trimesh.poses.compute_stable_poses(hull, center_mass=object.p_OOcm, sigma=0.0, n_samples=1)
-    return np.asarray(poses), np.asarray(probabilities)
+    """Poses on the facets of the convex hull, shape (n, 4, 4), and their probabilities, shape (n,).
+
+    Slivers among the hull's triangles make trimesh lose facets with their probability, on a few meshes all of them.
+    Points are then rounded until most are accounted for.
+    """
+    poses, probabilities = np.zeros((0, 4, 4)), np.zeros(0)
+    for grid in ROUNDING:
+        points = _points(object)
+        if grid > 0.0:
+            points = grid * np.unique(np.round(points / grid), axis=0)
+        hull = trimesh.Trimesh(points, process=False).convex_hull
+        found = trimesh.poses.compute_stable_poses(hull, center_mass=object.p_OOcm, sigma=0.0, n_samples=1)
+        poses, probabilities = np.asarray(found[0]), np.asarray(found[1])
+        if probabilities.sum() > MOST:
+            break
+    return poses, probabilities
 
 
 def stable_pose(object: ObjectModel, *, seed: int = 0) -> RigidTransform:
