@@ -260,6 +260,8 @@ def _facets(object: ObjectModel) -> tuple[Array, Array]:
         poses, probabilities = np.asarray(found[0]), np.asarray(found[1])
         if probabilities.sum() > MOST:
             break
+    if len(poses) == 0:
+        raise ConfigError(f"object {object.name}: no facet of its convex hull is a pose of rest; it only rolls")
     return poses, probabilities
 
 
