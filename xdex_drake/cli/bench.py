@@ -113,11 +113,11 @@ def _print(name: str, watch: Watch) -> None:
 
 
 def _force_closure(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_force_closure import bench_force_closure
+    from xdex_drake.evaluation.bench_force_closure import CANDIDATES, bench_force_closure
     from xdex_drake.hand.library import load_hand
 
     hand = load_hand(command.hand)
-    with progress(min(command.repeats, 64), f"{hand.name} {command.object}") as bar:
+    with progress(min(command.repeats, CANDIDATES), f"{hand.name} {command.object}") as bar:
         bench_force_closure(watch, hand, command.object, repeats=command.repeats, seed=command.seed, tick=bar.update)
 
 

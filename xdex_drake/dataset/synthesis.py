@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from xdex_drake.contact.certificate import certify, contact_geometry
+from xdex_drake.contact.cones import effort_map
 from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.hand.description import Hand
@@ -217,8 +218,7 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
 def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
     """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
     R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
-    J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
-    return (np.swapaxes(R_WCs, 1, 2) @ J).reshape(-1, J.shape[-1]).T
+    return effort_map(k.jacobian(point.contacts.links, p_WCs)[:, :, 6:], R_WCs)
 
 
 def polish(

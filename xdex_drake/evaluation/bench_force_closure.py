@@ -6,11 +6,14 @@ from xdex_drake.dataset.synthesis import finish_grasp
 from xdex_drake.evaluation.bench import Tick, Watch
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import program_of_candidate
-from xdex_drake.programs.search import search
+from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.lift import lift_rig, simulate_lift
+
+CANDIDATES = 64
+"""Candidates that the search leaves, out of more starts."""
 
 
 def bench_force_closure(watch: Watch, hand: Hand, object_name: str, *, repeats: int, seed: int, tick: Tick) -> None:
@@ -20,7 +23,7 @@ def bench_force_closure(watch: Watch, hand: Hand, object_name: str, *, repeats: 
         watch: Where times go; facts count what was tried, certified and lifted.
         hand: The hand.
         object_name: Name of a shape, or path of a mesh.
-        repeats: Number of candidates, at most 64.
+        repeats: Number of candidates, at most `CANDIDATES`.
         seed: Seed of the search.
         tick: Called after each candidate.
     """
@@ -28,8 +31,11 @@ def bench_force_closure(watch: Watch, hand: Hand, object_name: str, *, repeats: 
     scene = watch.time("scene", lambda: make_scene(model))
     watch.time("distance grid (cached likewise)", lambda: model.grid)
     rig = watch.time("lift rig", lambda: lift_rig(hand, scene))
-    found = watch.time("search, a candidate of 64", lambda: search(hand, scene, count=64, seed=seed), share=64)
-    for row in range(min(repeats, 64)):
+    starts = round(CANDIDATES / SearchSettings().survivors)
+    found = watch.time(
+        f"search, a start of {starts}", lambda: search(hand, scene, count=starts, seed=seed), share=starts
+    )
+    for row in range(min(repeats, CANDIDATES)):
         program = program_of_candidate(hand, scene, found, row)
         result = watch.time("polish", lambda program=program: solve(program))
         watch.count("tried")

@@ -24,9 +24,10 @@ Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 ROUNDING = (0.0, 1e-4, 3e-4, 1e-3)
-"""Roundings of the hull's points that are tried until its facets account for `MOST` of the orientations [m]."""
+"""Roundings of the hull's points that are tried until its facets account for `ACCOUNTED` of the orientations [m]."""
 
-MOST = 0.8
+ACCOUNTED = 0.8
+"""Sum of the facets' probabilities that is enough; it is one where trimesh loses none."""
 
 LEAST_PROBABILITY = 0.01
 """Poses on a facet that are rarer are left out of `stable_poses`."""
@@ -250,15 +251,14 @@ def _facets(object: ObjectModel) -> tuple[Array, Array]:
     Slivers among the hull's triangles make trimesh lose facets with their probability, on a few meshes all of them.
     Points are then rounded until most are accounted for.
     """
+    exact = _points(object)
     poses, probabilities = np.zeros((0, 4, 4)), np.zeros(0)
     for grid in ROUNDING:
-        points = _points(object)
-        if grid > 0.0:
-            points = grid * np.unique(np.round(points / grid), axis=0)
+        points = grid * np.unique(np.round(exact / grid), axis=0) if grid > 0.0 else exact
         hull = trimesh.Trimesh(points, process=False).convex_hull
         found = trimesh.poses.compute_stable_poses(hull, center_mass=object.p_OOcm, sigma=0.0, n_samples=1)
         poses, probabilities = np.asarray(found[0]), np.asarray(found[1])
-        if probabilities.sum() > MOST:
+        if probabilities.sum() > ACCOUNTED:
             break
     if len(poses) == 0:
         raise ConfigError(f"object {object.name}: no facet of its convex hull is a pose of rest; it only rolls")

@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import map_coordinates
 
 from xdex_drake.contact.certificate import contact_geometry
+from xdex_drake.contact.cones import effort_map
 from xdex_drake.contact.wrench import balance, gravity_wrench
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.hand.description import Array, Hand
@@ -227,7 +228,7 @@ def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
         X_OW, R_WO = scene.X_WO.inverse(), scene.X_WO.rotation().matrix()
         R_WCs, G = contact_geometry((X_OW @ p_WCs.T).T, n_WCs @ R_WO, R_WO, model.p_OOcm)
         J = k.jacobian(links[rows], p_WCs)[:, :, 6:]
-        A = (np.swapaxes(R_WCs, 1, 2) @ J).reshape(-1, J.shape[-1]).T
+        A = effort_map(J, R_WCs)
         for safety in RULE_FRICTION:
             forces = balance(
                 G,
