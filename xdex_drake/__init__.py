@@ -12,11 +12,10 @@ if TYPE_CHECKING:
     from xdex_drake.contact.margins import ball_margin, task_margin
     from xdex_drake.contact.wrench import balance
     from xdex_drake.dataset.files import StoredGrasp, load_grasps, save_grasps
-    from xdex_drake.dataset.problem_runs import solve_problem
-    from xdex_drake.dataset.retarget import retarget
     from xdex_drake.dataset.synthesis import Tally, finish_grasp, synthesize
     from xdex_drake.errors import XdexError
     from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+    from xdex_drake.grasping.retarget import retarget
     from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands
     from xdex_drake.hand.checks import check_hand
     from xdex_drake.hand.description import Capsule, Hand
@@ -28,9 +27,10 @@ if TYPE_CHECKING:
     from xdex_drake.hand.library import list_hands, load_hand
     from xdex_drake.hand.mirror import mirror, replace_tip
     from xdex_drake.hand.variation import apply_operations, remove_finger, scale_hand
+    from xdex_drake.problems.files import list_problems, load_problem
+    from xdex_drake.problems.solve import solve_problem
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
     from xdex_drake.programs.link_pose_ik import link_pose_ik, link_pose_ik_program
-    from xdex_drake.programs.problems import list_problems, load_problem
     from xdex_drake.programs.program import GraspProgram
     from xdex_drake.programs.retargeting import retargeting_program
     from xdex_drake.programs.solve import ProgramResult, solve
@@ -56,8 +56,8 @@ _MODULES = {
     "contact.margins": ("ball_margin", "task_margin"),
     "contact.wrench": ("balance",),
     "dataset.files": ("StoredGrasp", "load_grasps", "save_grasps"),
-    "dataset.problem_runs": ("solve_problem",),
-    "dataset.retarget": ("retarget",),
+    "problems.solve": ("solve_problem",),
+    "grasping.retarget": ("retarget",),
     "dataset.synthesis": ("Tally", "finish_grasp", "synthesize"),
     "errors": ("XdexError",),
     "grasp": ("Certificate", "Contact", "Grasp", "Lift"),
@@ -74,7 +74,7 @@ _MODULES = {
     "hand.variation": ("apply_operations", "remove_finger", "scale_hand"),
     "programs.force_closure": ("force_closure_program", "polish_program"),
     "programs.link_pose_ik": ("link_pose_ik", "link_pose_ik_program"),
-    "programs.problems": ("list_problems", "load_problem"),
+    "problems.files": ("list_problems", "load_problem"),
     "programs.program": ("GraspProgram",),
     "programs.retargeting": ("retargeting_program",),
     "programs.solve": ("ProgramResult", "solve"),

@@ -107,7 +107,7 @@ def main() -> None:
 
     from tqdm import tqdm
 
-    from xdex_drake.dataset.executors import run_units
+    from xdex_drake.jobs.processes import run_units
 
     done: set[str] = set()
     if args.out.exists():

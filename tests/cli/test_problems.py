@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from xdex_drake.cli.app import run
-from xdex_drake.dataset.problem_runs import solve_problem
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.library import load_hand
+from xdex_drake.problems.files import Problem, list_problems, load_any_problem, load_problem
+from xdex_drake.problems.solve import solve_problem
+from xdex_drake.problems.wrench import WrenchProblem, solve_wrench_problem
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.grasp_types import contact_slots
 from xdex_drake.programs.obstacles import WORDS, find_obstacles, in_words, largest_opening, sizes
-from xdex_drake.programs.problems import Problem, list_problems, load_any_problem, load_problem
-from xdex_drake.programs.wrench_problems import WrenchProblem, solve_wrench_problem
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 

@@ -109,7 +109,7 @@ print(json.dumps({"seconds": time.perf_counter() - begin, "modules": sorted(sys.
 def test_data_sets_are_read_without_torch(tmp_path):
     code = """
 import json, sys
-import xdex_drake.dataset.executors, xdex_drake.dataset.schema, xdex_drake.dataset.store
+import xdex_drake.jobs.processes, xdex_drake.dataset.schema, xdex_drake.dataset.store
 print(json.dumps(sorted(sys.modules)))
 """
     modules = set(json.loads(run(sys.executable, "-c", code, cwd=tmp_path)))

@@ -7,6 +7,7 @@ import pytest
 
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.library import load_hand
+from xdex_drake.problems.files import load_problem
 from xdex_drake.programs.force_closure import PolishSettings, polish_program, wishes
 from xdex_drake.programs.grasp_types import (
     GraspType,
@@ -16,7 +17,6 @@ from xdex_drake.programs.grasp_types import (
     random_contact_sets,
     spread_cost,
 )
-from xdex_drake.programs.problems import load_problem
 from xdex_drake.programs.search import SearchSettings, evaluate, sample_starts, search, search_problem, turned_towards
 
 ABOVE = (0.0, 0.0, -1.0)

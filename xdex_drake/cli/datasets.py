@@ -12,7 +12,7 @@ import tyro
 from xdex_drake.cli.output import check_writable, counts, facts, keeping_finished_work, one_thread, progress, table
 
 if TYPE_CHECKING:
-    from xdex_drake.dataset.executors import UnitResult
+    from xdex_drake.jobs.processes import UnitResult
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Train:
 
     def run(self) -> int:
         """Trains, prints what was done."""
-        from xdex_drake.model.training import TrainConfig, train
+        from xdex_drake.learning.training import TrainConfig, train
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = TrainConfig() if self.config is None else read_typed_yaml(self.config, TrainConfig)
@@ -165,7 +165,7 @@ class Train:
             config = replace(config, minutes=self.minutes)
         if self.print_config:
             return _print_yaml(config)
-        from xdex_drake.model.training_data import training_set_from_dataset
+        from xdex_drake.learning.samples import training_set_from_dataset
 
         check_writable(self.out / "model.safetensors")
         report = train(config, training_set_from_dataset(self.data), self.out)

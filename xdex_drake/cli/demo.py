@@ -193,8 +193,8 @@ class _Path:
         """Grasps from the model that the library ships."""
         from xdex_drake.dataset.files import SceneFacts, rows_of
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.model.checkpoint import FILE_NAME, load_checkpoint
-        from xdex_drake.model.proposal import default_checkpoint, propose
+        from xdex_drake.learning.checkpoint import FILE_NAME, load_checkpoint
+        from xdex_drake.learning.proposer import default_checkpoint, propose
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
         from xdex_drake.simulation.lift import lift_rig, simulate_lift

@@ -11,7 +11,7 @@ import tyro
 from xdex_drake.cli.output import check_output_file, counts, facts, one_thread, table
 
 if TYPE_CHECKING:
-    from xdex_drake.programs.wrench_problems import WrenchProblem
+    from xdex_drake.problems.wrench import WrenchProblem
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Solve:
             check_output_file(self.html, ".html")
         from xdex_drake.data_files import data_folder
         from xdex_drake.errors import ConfigError
+        from xdex_drake.problems.files import list_problems, load_any_problem
+        from xdex_drake.problems.wrench import WrenchProblem as ContactsAlone
         from xdex_drake.programs.obstacles import in_words, sizes
-        from xdex_drake.programs.problems import list_problems, load_any_problem
         from xdex_drake.programs.solve import SOLVERS
-        from xdex_drake.programs.wrench_problems import WrenchProblem as ContactsAlone
 
         if not self.problem:
             print(table([(name, load_any_problem(name).title) for name in list_problems()], ("problem", "title")))
@@ -63,7 +63,7 @@ class Solve:
             return self._wrench(problem)
         changed = replace(problem, seed=problem.seed if self.seed is None else self.seed, solver=_solver(self, problem))
         object.__setattr__(changed, "path", problem.path)
-        from xdex_drake.dataset.problem_runs import solve_problem
+        from xdex_drake.problems.solve import solve_problem
 
         solution = solve_problem(changed)
         result, grasp = solution.result, solution.grasp
@@ -106,7 +106,7 @@ class Solve:
     def _wrench(self, problem: WrenchProblem) -> int:
         """Solves a problem of contacts alone, and prints."""
         from xdex_drake.errors import ConfigError
-        from xdex_drake.programs.wrench_problems import solve_wrench_problem
+        from xdex_drake.problems.wrench import solve_wrench_problem
 
         for name in ("seed", "solver", "out", "html"):
             if getattr(self, name) is not None:

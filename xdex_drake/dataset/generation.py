@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from xdex_drake.dataset.executors import UnitResult, run_units
-from xdex_drake.dataset.retarget import retarget
 from xdex_drake.dataset.schema import ObjectFacts, Row, row_from_grasp
 from xdex_drake.dataset.store import Manifest, completed_units, open_dataset, write_failure, write_shard
 from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch, lift_all
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp
+from xdex_drake.grasping.retarget import retarget
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.heading import object_point
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.jobs.processes import UnitResult, run_units
 from xdex_drake.scene.object import ObjectModel, load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
 from xdex_drake.simulation.lift import lift_rig

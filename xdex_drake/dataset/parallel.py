@@ -15,9 +15,9 @@ from functools import lru_cache
 from itertools import count as count_from
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
-from xdex_drake.dataset.executors import UnitResult, run_units
 from xdex_drake.dataset.files import SceneFacts
 from xdex_drake.grasp import Grasp, Lift
+from xdex_drake.jobs.processes import UnitResult, run_units
 
 if TYPE_CHECKING:
     from xdex_drake.dataset.synthesis import Outcome
@@ -309,8 +309,8 @@ def run_retarget(unit: RetargetUnit) -> Outcome:
     """
     import torch
 
-    from xdex_drake.dataset.retarget import retarget
     from xdex_drake.dataset.synthesis import Outcome
+    from xdex_drake.grasping.retarget import retarget
     from xdex_drake.hand.library import load_hand
     from xdex_drake.simulation.lift import simulate_lift
 

@@ -28,7 +28,7 @@ from xdex_drake.visualization.pictures import (
 from xdex_drake.visualization.views import frame_blobs, hand_blobs
 
 if TYPE_CHECKING:
-    from xdex_drake.dataset.hand_sets import HandRow
+    from xdex_drake.jobs.hands import HandRow
 
 VIEW = (0.80, 0.55, 0.30)
 """Direction in H from a hand toward the camera."""
