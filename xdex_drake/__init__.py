@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from xdex_drake.contact.margins import ball_margin, task_margin
     from xdex_drake.contact.wrench import balance
     from xdex_drake.dataset.files import StoredGrasp, load_grasps, save_grasps
-    from xdex_drake.dataset.synthesis import Tally, finish_grasp, synthesize
     from xdex_drake.errors import XdexError
     from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+    from xdex_drake.grasping.approach import straight_approach
+    from xdex_drake.grasping.finish import finish_grasp
     from xdex_drake.grasping.retarget import retarget
+    from xdex_drake.grasping.synthesis import synthesize
+    from xdex_drake.grasping.tally import Tally
     from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands
     from xdex_drake.hand.checks import check_hand
     from xdex_drake.hand.description import Capsule, Hand
@@ -40,7 +43,6 @@ if TYPE_CHECKING:
     from xdex_drake.scene.procedural import list_objects
     from xdex_drake.scene.tabletop import Scene, make_scene, point_cloud, random_scene, stable_poses
     from xdex_drake.simulation.lift import lift
-    from xdex_drake.simulation.pregrasp import straight_approach
     from xdex_drake.simulation.protocol import LIFT, LiftProtocol, find_protocol, with_physics
     from xdex_drake.simulation.robust import RobustLift, robust_lift
     from xdex_drake.visualization.hand_browser import browser_page
@@ -58,7 +60,9 @@ _MODULES = {
     "dataset.files": ("StoredGrasp", "load_grasps", "save_grasps"),
     "problems.solve": ("solve_problem",),
     "grasping.retarget": ("retarget",),
-    "dataset.synthesis": ("Tally", "finish_grasp", "synthesize"),
+    "grasping.finish": ("finish_grasp",),
+    "grasping.synthesis": ("synthesize",),
+    "grasping.tally": ("Tally",),
     "errors": ("XdexError",),
     "grasp": ("Certificate", "Contact", "Grasp", "Lift"),
     "hand.batched_kinematics": ("BatchedHand", "PaddedHands"),
@@ -84,7 +88,7 @@ _MODULES = {
     "scene.procedural": ("list_objects",),
     "scene.tabletop": ("Scene", "make_scene", "point_cloud", "random_scene", "stable_poses"),
     "simulation.lift": ("lift",),
-    "simulation.pregrasp": ("straight_approach",),
+    "grasping.approach": ("straight_approach",),
     "simulation.protocol": ("LIFT", "LiftProtocol", "find_protocol", "with_physics"),
     "simulation.robust": ("RobustLift", "robust_lift"),
     "visualization.hand_browser": ("browser_page",),

@@ -128,7 +128,7 @@ def read_fact(rig: "LiftRig", grasp: "Grasp") -> "tuple[str, str, float, float, 
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Spoils and lifts until there are `count` failures, evenly over hands and objects."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene

@@ -89,7 +89,7 @@ def held(rig: "LiftRig", grasp: "Grasp") -> tuple[bool, str, float]:
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Lifts every grasp with every squeeze."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
@@ -127,8 +127,8 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
 
 def squeeze(hand: "Hand", scene: "Scene", grasp: "Grasp", forces: "Array", kp: float) -> "tuple[Grasp, bool]":
     """The grasp with squeeze targets for other forces, and whether a joint's effort limits them."""
+    from xdex_drake.grasping.squeeze import contact_torques, squeeze_targets
     from xdex_drake.hand.kinematics import Configuration
-    from xdex_drake.simulation.pregrasp import contact_torques, squeeze_targets
 
     certificate = grasp.certificate
     assert certificate is not None

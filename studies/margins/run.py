@@ -25,13 +25,15 @@ from scipy.stats import rankdata
 
 import xdex_drake as xd
 from xdex_drake.contact import contact_geometry, epsilon_linearized
-from xdex_drake.dataset.synthesis import GIVEN, Demands, SynthesisSettings, batch_seed, certified_grasps, finish_grasp
+from xdex_drake.grasping.finish import GIVEN, Demands, finish_grasp
+from xdex_drake.grasping.pregrasp import pregrasp
+from xdex_drake.grasping.squeeze import squeeze_by_rule
+from xdex_drake.grasping.synthesis import SynthesisSettings, batch_seed, certified_grasps
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wrench_blocks
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
 from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
-from xdex_drake.simulation.pregrasp import pregrasp, squeeze_by_rule
 from xdex_drake.simulation.protocol import LIFT, with_physics
 
 MARGINS = ("task_margin", "ball_margin", "epsilon", "friction_left")

@@ -9,8 +9,8 @@ import pytest
 
 from xdex_drake.cli import main
 from xdex_drake.dataset.files import load_grasps
-from xdex_drake.dataset.parallel import BatchResult, GraspRequest, RequestTally, synthesize_batches
-from xdex_drake.dataset.store import read_grasps, write_grasps
+from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
+from xdex_drake.jobs.grasps import BatchResult, GraspRequest, RequestTally, synthesize_batches
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):
         yield result
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("xdex_drake.dataset.parallel.synthesize_batches", interrupted)
+    monkeypatch.setattr("xdex_drake.jobs.grasps.synthesize_batches", interrupted)
     out = tmp_path / "kept.parquet"
     assert main(["grasp", "--hand", "allegro", "--object", "can", "--out", str(out)]) == 130
     assert [row["grasp_id"] for row in read_grasps(out)] == [finished[0].grasp_id]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
 from xdex_drake.dataset.schema import (
     SCHEMA,
     grasp_from_row,
@@ -20,7 +21,6 @@ from xdex_drake.dataset.schema import (
     pose_to_list,
     row_from_grasp,
 )
-from xdex_drake.dataset.store import read_grasps, write_grasps
 from xdex_drake.errors import GraspFileError
 from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
 

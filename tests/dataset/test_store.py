@@ -16,25 +16,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from xdex_drake.dataset import store
-from xdex_drake.dataset.schema import SCHEMA
-from xdex_drake.dataset.store import (
-    Count,
+from xdex_drake import whole_file
+from xdex_drake.dataset.folder import (
     Manifest,
     completed_units,
     failed_units,
-    info,
     open_dataset,
     read_dataset,
-    read_grasps,
     read_manifest,
-    read_metadata,
-    read_table,
-    verify,
     write_failure,
-    write_grasps,
     write_shard,
 )
+from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, read_table, write_grasps
+from xdex_drake.dataset.schema import SCHEMA
+from xdex_drake.dataset.summary import Count, info
+from xdex_drake.dataset.verify import verify
 from xdex_drake.errors import DatasetError, GraspFileError
 
 MANIFEST = Manifest(
@@ -178,7 +174,7 @@ def test_a_full_disk_changes_nothing(tmp_path, rows, monkeypatch):
     def full(descriptor):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(store.os, "fsync", full)
+    monkeypatch.setattr(whole_file.os, "fsync", full)
     with pytest.raises(GraspFileError, match="No space left on device"):
         write_grasps(path, rows)
     assert path.read_bytes() == before
@@ -208,14 +204,15 @@ def test_a_folder_that_cannot_be_made_is_an_error_of_ours(tmp_path, rows):
 KILLED_WRITER = """
     import sys, time
     from pathlib import Path
-    from xdex_drake.dataset import store
+    from xdex_drake import whole_file
+    from xdex_drake.dataset import grasp_file
 
-    rows = store.read_grasps(sys.argv[1])
+    rows = grasp_file.read_grasps(sys.argv[1])
     if sys.argv[3] == "midway":
-        store.os.fsync = lambda descriptor: (print("writing", flush=True), time.sleep(60))
+        whole_file.os.fsync = lambda descriptor: (print("writing", flush=True), time.sleep(60))
     print("writing", flush=True)
     while True:
-        store.write_grasps(sys.argv[2], rows)
+        grasp_file.write_grasps(sys.argv[2], rows)
 """
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from xdex_drake.dataset.synthesis import WINDOW, worth_going_on
+from xdex_drake.grasping.synthesis import WINDOW, worth_going_on
 
 
 def polished(hits: str, batch: int = 80) -> int:

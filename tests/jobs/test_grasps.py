@@ -4,7 +4,8 @@ import math
 import os
 from dataclasses import dataclass
 
-from xdex_drake.dataset.parallel import LiftUnit, in_order, lost_lift
+from xdex_drake.jobs.ordered import in_order
+from xdex_drake.jobs.stored import LiftUnit, lost_lift
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from xdex_drake.dataset.folder import Manifest, open_dataset, write_shard
 from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
-from xdex_drake.dataset.store import Manifest, open_dataset, write_shard
 from xdex_drake.errors import DatasetError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.kinematics import forward_kinematics

@@ -5,9 +5,9 @@ import signal
 import numpy as np
 import pytest
 import torch
-from xdex_drake.learning import training
 
 from xdex_drake.errors import CheckpointError, ConfigError
+from xdex_drake.learning import training
 from xdex_drake.learning.batches import TrainingSet, draw_batch, pack
 from xdex_drake.learning.checkpoint import load_checkpoint
 from xdex_drake.learning.models.cvae import CVAEConfig

@@ -7,20 +7,16 @@ import pytest
 from pydrake.math import RigidTransform
 
 from xdex_drake.contact.certificate import check_certificate, contact_geometry
-from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
+from xdex_drake.grasping.approach import straight_approach
+from xdex_drake.grasping.pregrasp import CLEARANCE, pregrasp
+from xdex_drake.grasping.squeeze import RULE_CLOSING, squeeze_by_rule, squeeze_targets
+from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
+from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
-from xdex_drake.simulation.pregrasp import (
-    CLEARANCE,
-    RULE_CLOSING,
-    pregrasp,
-    squeeze_by_rule,
-    squeeze_targets,
-    straight_approach,
-)
 from xdex_drake.simulation.protocol import LIFT
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
 from xdex_drake.errors import ConfigError
+from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
+from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from xdex_drake.bench.watch import Tick, Watch
-from xdex_drake.dataset.synthesis import finish_grasp
+from xdex_drake.grasping.finish import finish_grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import program_of_candidate
 from xdex_drake.programs.search import SearchSettings, search

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 from xdex_drake.bench.watch import Tick, Watch
-from xdex_drake.dataset.synthesis import certified_grasps
+from xdex_drake.grasping.synthesis import certified_grasps
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import IMPROVEMENT, refined_start, retargeting_program, warm_start

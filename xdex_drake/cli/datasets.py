@@ -38,9 +38,9 @@ class DatasetGenerate:
     def run(self) -> int:
         """Generates, then tells what the folder holds."""
         one_thread()
-        from xdex_drake.dataset.generation import DatasetConfig, generate, plan
-        from xdex_drake.dataset.store import completed_units
+        from xdex_drake.dataset.folder import completed_units
         from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.pairs import DatasetConfig, generate, plan
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
@@ -99,7 +99,7 @@ class DatasetVerify:
 
     def run(self) -> int:
         """Prints what was checked and everything that is wrong; exit status 1 where something is."""
-        from xdex_drake.dataset.store import verify
+        from xdex_drake.dataset.verify import verify
         from xdex_drake.grasp import Grasp
         from xdex_drake.typed_yaml import to_plain
 
@@ -192,7 +192,7 @@ def _print_yaml(config: object) -> int:
 
 def _print_info(folder: Path) -> int:
     """Prints what a data set holds; returns the number of its rows."""
-    from xdex_drake.dataset.store import info
+    from xdex_drake.dataset.summary import info
 
     summary = info(folder)
     print(

@@ -127,8 +127,9 @@ class _Path:
     def synthesize(self, objects: Sequence[str], count: int) -> None:
         """Grasps of each object by the source hand."""
         from xdex_drake.dataset.files import SceneFacts, rows_of
-        from xdex_drake.dataset.parallel import BatchUnit, GraspRequest, in_order, run_batch
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.jobs.grasps import BatchUnit, GraspRequest, run_batch
+        from xdex_drake.jobs.ordered import in_order
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
         from xdex_drake.visualization.report import ReportRow
@@ -162,8 +163,9 @@ class _Path:
     def retarget(self, targets: Sequence[str]) -> None:
         """The lifted grasps of the first stage by other hands."""
         from xdex_drake.dataset.files import rows_of
-        from xdex_drake.dataset.parallel import RetargetUnit, in_order, run_retarget
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.jobs.ordered import in_order
+        from xdex_drake.jobs.stored import RetargetUnit, run_retarget
         from xdex_drake.visualization.report import ReportRow
 
         text = "Fingertips and wrist are matched by name, under the same constraints as any grasp."
@@ -231,7 +233,7 @@ class _Path:
 
     def show(self, most: int) -> None:
         """Pictures and replays of the first lifted grasps of each hand and object."""
-        from xdex_drake.dataset.parallel import in_order
+        from xdex_drake.jobs.ordered import in_order
 
         units = []
         for number, stage in enumerate(self.stages):
@@ -248,7 +250,7 @@ class _Path:
 
     def write(self, folder: Path, command: str) -> Path:
         """Writes the report and the file of grasps."""
-        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.visualization.report import write_report
 
         if self.file_rows:

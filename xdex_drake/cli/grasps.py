@@ -66,8 +66,8 @@ class GraspCommand:
     def run(self) -> int:
         """Makes the grasps, writes them, prints the closing table."""
         one_thread()
-        from xdex_drake.dataset.parallel import GraspRequest, RequestTally, synthesize_batches
         from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.grasps import GraspRequest, RequestTally, synthesize_batches
 
         for name in ("count", "workers"):
             if getattr(self, name) < 1:
@@ -184,10 +184,11 @@ class Retarget:
         one_thread()
         check_output_file(self.out, ".parquet")
         from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps, rows_of
-        from xdex_drake.dataset.parallel import RetargetUnit, in_order, run_retarget
-        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.errors import ConfigError
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.jobs.ordered import in_order
+        from xdex_drake.jobs.stored import RetargetUnit, run_retarget
 
         if not self.to:
             raise ConfigError("--to names no hand; give at least one")
@@ -265,10 +266,11 @@ class LiftCommand:
         one_thread()
         check_output_file(self.out, ".parquet")
         from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps
-        from xdex_drake.dataset.parallel import LiftUnit, in_order, lost_lift, run_lift
+        from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.schema import lift_columns
-        from xdex_drake.dataset.store import write_grasps
         from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.ordered import in_order
+        from xdex_drake.jobs.stored import LiftUnit, lost_lift, run_lift
         from xdex_drake.simulation.protocol import find_protocol
 
         find_protocol(self.protocol)

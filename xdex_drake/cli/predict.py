@@ -55,7 +55,7 @@ class Predict:
             raise ConfigError("--hand needs a hand, --count 1 or more, --seed and --scene-seed 0 or more")
         check_output_file(self.out, ".parquet")
         from xdex_drake.dataset.files import hand_paths_entry, rows_of
-        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.hand.library import load_hand
         from xdex_drake.learning.checkpoint import load_checkpoint
         from xdex_drake.learning.proposer import default_checkpoint, propose

@@ -98,8 +98,8 @@ class Export:
     def run(self) -> int:
         """Writes the file."""
         check_output_file(self.out, ".json")
+        from xdex_drake.dataset.grasp_file import read_grasps
         from xdex_drake.dataset.schema import SCHEMA
-        from xdex_drake.dataset.store import read_grasps
 
         rows = read_grasps(self.file)
         columns = {

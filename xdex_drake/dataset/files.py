@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, write_grasps
 from xdex_drake.dataset.schema import Array, Row, grasp_from_row, pose_from_list, row_from_grasp
-from xdex_drake.dataset.store import read_grasps, read_metadata, write_grasps
 from xdex_drake.errors import GraspFileError, XdexError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
@@ -62,7 +62,7 @@ def rows_of(
     Returns:
         The rows, ready for `store.write_grasps`.
     """
-    from xdex_drake.dataset.generation import grasp_object_point, object_facts
+    from xdex_drake.dataset.rows import grasp_object_point, object_facts
 
     path = scene.object.name if scene.object.path is None else str(scene.object.path)
     digest, facts = hand_digest(hand), object_facts(scene.object, path)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from xdex_drake.dataset.synthesis import Outcome, polish
 from xdex_drake.grasp import Grasp
+from xdex_drake.grasping.finish import Outcome, polish
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.retargeting import refined_start, retargeting_program

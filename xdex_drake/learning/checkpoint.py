@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from dataclasses import asdict, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -46,7 +45,8 @@ def save_checkpoint(model: CVAE, path: str | Path, notes: dict[str, Any] | None 
         "notes": notes or {},
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
-    write_whole(file, save_tensors(tensors, metadata={_KEY: json.dumps(header)}))
+    with whole_file(file) as unfinished:
+        unfinished.write_bytes(save_tensors(tensors, metadata={_KEY: json.dumps(header)}))
     return file
 
 
@@ -94,19 +94,6 @@ def checkpoint_header(path: str | Path) -> dict[str, Any]:
         CheckpointError: As `load_checkpoint`.
     """
     return _checked_header(_file(Path(path)))[0]
-
-
-def write_whole(file: Path, data: bytes) -> None:
-    """Write a file so that it appears whole or not at all.
-
-    Args:
-        file: The file.
-        data: Its content.
-    """
-    with whole_file(file) as unfinished, unfinished.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def _checked_header(file: Path) -> tuple[dict[str, Any], dict[str, list[int]]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.dataset.synthesis import Outcome, polish
+from xdex_drake.grasping.finish import Outcome, polish
 from xdex_drake.hand.description import Hand
 from xdex_drake.learning.features import hand_features, object_features, zero_configuration
 from xdex_drake.learning.models.cvae import CVAE

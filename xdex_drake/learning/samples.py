@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 
+from xdex_drake.dataset.folder import read_dataset
 from xdex_drake.dataset.schema import ObjectFacts, Row, grasp_from_row, object_facts_from_row
-from xdex_drake.dataset.store import read_dataset
 from xdex_drake.errors import DatasetError
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.hand.kinematics import forward_kinematics

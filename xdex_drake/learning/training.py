@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from xdex_drake.errors import CheckpointError, ConfigError
 from xdex_drake.learning.batches import Batch, BatchSizes, Data, TrainingSet, draw_batch, draw_couples, make_batch, pack
-from xdex_drake.learning.checkpoint import save_checkpoint, write_whole
+from xdex_drake.learning.checkpoint import save_checkpoint
 from xdex_drake.learning.losses import (
     embedding_loss,
     keypoint_loss,
@@ -35,6 +35,7 @@ from xdex_drake.learning.losses import (
 )
 from xdex_drake.learning.models.cvae import CVAE, CVAEConfig
 from xdex_drake.learning.models.layers import LENGTH_UNIT
+from xdex_drake.whole_file import whole_file
 
 logger = logging.getLogger(__name__)
 
@@ -435,7 +436,8 @@ def _save_state(
     stream = io.BytesIO()
     state = {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
     torch.save({**state, "identity": json.dumps(identity), "step": step, "seconds": seconds}, stream)
-    write_whole(file, stream.getvalue())
+    with whole_file(file) as unfinished:
+        unfinished.write_bytes(stream.getvalue())
 
 
 def _load_state(file: Path, model: CVAE, optimizer: torch.optim.Optimizer, identity: dict) -> tuple[int, float]:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 
-from xdex_drake.dataset.synthesis import finish_grasp
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
+from xdex_drake.grasping.finish import finish_grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.problems.files import Problem, force_closure_programs, load_problem, problem_scene

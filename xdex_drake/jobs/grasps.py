@@ -6,32 +6,24 @@ numbered and their results are taken in that order, so that two workers find wha
 
 from __future__ import annotations
 
-import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import count as count_from
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from typing import TYPE_CHECKING
 
-from xdex_drake.dataset.files import SceneFacts
-from xdex_drake.grasp import Grasp, Lift
+from xdex_drake.grasp import Grasp
 from xdex_drake.jobs.processes import UnitResult, run_units
 
 if TYPE_CHECKING:
-    from xdex_drake.dataset.synthesis import Outcome
-    from xdex_drake.hand.description import Hand
-    from xdex_drake.scene.tabletop import Scene
-    from xdex_drake.simulation.lift import LiftRig
-
-Unit = TypeVar("Unit")
-Value = TypeVar("Value")
-
-_log = logging.getLogger(__name__)
+    pass
+from xdex_drake.jobs.ordered import _log
 
 QUOTA = 10
 """Lifted grasps after which a batch is left: a smaller number loses less at Ctrl-C, a greater one searches less."""
+
 
 PATIENCE = 3
 """Batches in a row that may crash or run out of time before a run is given up."""
@@ -168,14 +160,14 @@ def run_batch(unit: BatchUnit) -> BatchResult:
     """
     import torch
 
-    from xdex_drake.dataset.synthesis import (
+    from xdex_drake.grasping.synthesis import (
         SynthesisSettings,
-        Tally,
         batch_seed,
         candidates_of_batch,
         lift_all,
         settings_of_batch,
     )
+    from xdex_drake.grasping.tally import Tally
 
     torch.set_num_threads(1)
     request, begin = unit.request, time.perf_counter()
@@ -253,185 +245,3 @@ def synthesize_batches(
         results.close()  # type: ignore[attr-defined]
         if workers == 0:
             _bench.cache_clear()
-
-
-# Stored grasps, one by one --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RetargetUnit:
-    """A stored grasp that shall be carried to another hand.
-
-    Attributes:
-        index: Its place in the file.
-        grasp: The grasp.
-        scene: Its scene.
-        source: Name or path of its hand.
-        target: Name or path of the other hand.
-    """
-
-    index: int
-    grasp: Grasp
-    scene: SceneFacts
-    source: str
-    target: str
-
-
-@dataclass(frozen=True)
-class LiftUnit:
-    """A stored grasp that shall be lifted again.
-
-    Attributes:
-        index: Its place in the file.
-        grasp: The grasp.
-        scene: Its scene.
-        hand: Name or path of its hand.
-        protocol: Name of the protocol.
-        robust: Number of errors of pose under which it is repeated; 0 for one lift as it is.
-    """
-
-    index: int
-    grasp: Grasp
-    scene: SceneFacts
-    hand: str
-    protocol: str = "lift-0.2/2tips"
-    robust: int = 0
-
-
-def run_retarget(unit: RetargetUnit) -> Outcome:
-    """Retargets a stored grasp and lifts the result.
-
-    Args:
-        unit: The grasp and the target.
-
-    Returns:
-        The lifted grasp, or the reason why there is none.
-    """
-    import torch
-
-    from xdex_drake.dataset.synthesis import Outcome
-    from xdex_drake.grasping.retarget import retarget
-    from xdex_drake.hand.library import load_hand
-    from xdex_drake.simulation.lift import simulate_lift
-
-    torch.set_num_threads(1)
-    scene = _scene(unit.scene)
-    source, target = load_hand(unit.source), load_hand(unit.target)
-    outcome = retarget(unit.grasp, source, target, scene)
-    if outcome.grasp is None:
-        return outcome
-    lift = simulate_lift(_rig(unit.target, unit.scene), outcome.grasp)
-    name = outcome.grasp.grasp_id or f"{unit.grasp.grasp_id}-{target.name}"
-    source_id = outcome.grasp.source_grasp_id or unit.grasp.grasp_id
-    return Outcome(replace(outcome.grasp, lift=lift, grasp_id=name, source_grasp_id=source_id), "")
-
-
-def run_lift(unit: LiftUnit) -> Lift:
-    """Lifts a stored grasp.
-
-    Args:
-        unit: The grasp.
-
-    Returns:
-        The verdict.
-    """
-    from xdex_drake.simulation.lift import lift
-    from xdex_drake.simulation.protocol import find_protocol
-    from xdex_drake.simulation.robust import RobustSettings, robust_lift
-
-    hand, scene, protocol = _hand(unit.hand), _scene(unit.scene), find_protocol(unit.protocol)
-    if unit.robust:
-        return robust_lift(
-            unit.grasp, hand, scene, protocol=protocol, settings=RobustSettings(repeats=unit.robust)
-        ).lift
-    return lift(unit.grasp, hand, scene, protocol=protocol)
-
-
-def lost_lift(unit: LiftUnit, failure: str) -> Lift:
-    """The verdict of a lift whose process crashed or took too long: it failed.
-
-    Args:
-        unit: The lift.
-        failure: What happened to it.
-
-    Returns:
-        The verdict.
-    """
-    reason = "timeout" if failure.startswith("timeout") else "simulation_failed"
-    name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
-    return Lift(name, False, reason, float("nan"), (), 0.0)
-
-
-def in_order(
-    units: Sequence[Unit],
-    work: Callable[[Unit], Value],
-    *,
-    workers: int,
-    lost: Callable[[Unit, str], Value] | None = None,
-) -> Iterator[tuple[Unit, Value]]:
-    """Runs work on each unit and gives the results in the order of the units.
-
-    Args:
-        units: The units.
-        work: A function at the top level of a module.
-        workers: Number of processes; 0 works in this one, where a crash ends everything.
-        lost: Gives the result of a unit whose process crashed or took too long; they are left out where None.
-
-    Yields:
-        Each unit with its result; units that were lost are told by a warning.
-
-    Raises:
-        RuntimeError: The work met a bug; the message holds its traceback.
-        XdexError: The input of a unit cannot be used.
-    """
-    waiting: dict[int, UnitResult[tuple[int, Unit], Value]] = {}
-    results = run_units(list(enumerate(units)), _Numbered(work), workers=min(workers, len(units)), timeout_s=300.0)
-    position = 0
-    try:
-        for done in results:
-            waiting[done.unit[0]] = done
-            while (ready := waiting.pop(position, None)) is not None:
-                position += 1
-                if ready.failure:
-                    if ready.trace:
-                        raise RuntimeError(f"unit {position - 1}:\n{ready.trace}")
-                    _log.warning("unit %d: %s", position - 1, ready.failure)
-                    if lost is not None:
-                        yield ready.unit[1], lost(ready.unit[1], ready.failure)
-                    continue
-                yield ready.unit[1], cast("Value", ready.value)
-    finally:
-        results.close()  # type: ignore[attr-defined]
-        if workers == 0:
-            _rig.cache_clear()
-            _scene.cache_clear()
-
-
-@dataclass(frozen=True)
-class _Numbered(Generic[Unit, Value]):
-    """Work on units that carry their number."""
-
-    work: Callable[[Unit], Value]
-
-    def __call__(self, unit: tuple[int, Unit]) -> Value:
-        return self.work(unit[1])
-
-
-@lru_cache(maxsize=4)
-def _hand(hand: str) -> Hand:
-    from xdex_drake.hand.library import load_hand
-
-    return load_hand(hand)
-
-
-@lru_cache(maxsize=4)
-def _scene(scene: SceneFacts) -> Scene:
-    return scene.build()
-
-
-@lru_cache(maxsize=4)
-def _rig(hand: str, scene: SceneFacts) -> LiftRig:
-    from xdex_drake.hand.library import load_hand
-    from xdex_drake.simulation.lift import lift_rig
-
-    return lift_rig(load_hand(hand), _scene(scene))

@@ -1,0 +1,187 @@
+"""Finishes a candidate: a certified grasp with pre-grasp, approach and squeeze, or the reason why there is none."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from xdex_drake.contact.certificate import certify, contact_geometry
+from xdex_drake.contact.cones import effort_map
+from xdex_drake.contact.penetration import penetration_depth
+from xdex_drake.grasp import Array, Grasp
+from xdex_drake.grasping.approach import straight_approach
+from xdex_drake.grasping.pregrasp import pregrasp
+from xdex_drake.grasping.squeeze import squeeze_targets
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs.point import Point
+from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.solve import solve
+from xdex_drake.scene.distance import sample_surface
+from xdex_drake.scene.object import ObjectModel
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+
+SURFACE_POINTS = 4096
+"""Points of the object's surface at which penetration is measured."""
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What a certified grasp must meet.
+
+    Attributes:
+        squeezes: Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try
+            in turn.
+        task_margin: Least task margin of three or more contacts. (Pinches have little or none.)
+        penetration_m: Deepest penetration, against the parts [m].
+    """
+
+    squeezes: tuple[tuple[float, float], ...] = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
+    task_margin: float = 0.0
+    penetration_m: float = 1e-3
+
+
+GIVEN = Demands()
+"""For other hands' grasps and predictions: better a weak grasp than none."""
+
+
+SEARCHED = Demands(squeezes=((0.55, 1.5),), task_margin=1.01)
+"""For grasps that a search finds, since it finds more. Measured on Allegro: of grasps whose forces need at most 0.55 of
+the friction 84 % lift, on meshes where half lift of those that need up to 0.7, and 29 % of the others
+(`studies/force_closure`); 87 % lift of those with a task margin above 1, and 63 % of those below, which do not even
+resist a push of their own weight (`studies/margins`)."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one candidate.
+
+    Attributes:
+        grasp: The certified grasp, None where there is none.
+        reason: Why there is none: the constraint that could not be met, "certificate: ...", "task margin",
+            "penetration", "pregrasp" (no clearance), or "approach" (no straight way of 10 cm to the pre-grasp).
+    """
+
+    grasp: Grasp | None
+    reason: str
+
+
+@lru_cache(maxsize=8)
+def _surface_points(obj: ObjectModel) -> tuple[Array, Array]:
+    """Points of the surface of the parts and of the mesh, in O."""
+    return (
+        sample_surface(*obj.surface, SURFACE_POINTS, 0)[0],
+        sample_surface(obj.vertices, obj.faces, SURFACE_POINTS, 0)[0],
+    )
+
+
+def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, float]:
+    """Depth of the deepest object surface point in the hand, against the parts and against the mesh.
+
+    Args:
+        hand: The hand.
+        k: Its configuration.
+        scene: The scene.
+
+    Returns:
+        Depth against the convex parts and against the mesh [m].
+    """
+    parts, mesh = _surface_points(scene.object)
+    return (
+        float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ parts.T).T)),
+        float(penetration_depth(hand, k.R_WLs, k.p_WLs, (scene.X_WO @ mesh.T).T)),
+    )
+
+
+def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, demands: Demands = GIVEN) -> Outcome:
+    """Certifies a polished point, measures its penetration and prepares its lift.
+
+    Args:
+        hand: The hand.
+        point: A point whose contacts touch.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The grasp, or the reason why there is none.
+    """
+    scene, k, obj = point.scene, point.k, point.scene.object
+    R_OW = scene.X_WO.rotation().matrix().T
+    p_WCs, n_WCs = point.exact_contacts()
+    p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
+    n_OCs = n_WCs @ R_OW.T
+    links = [hand.links[link].name for link in point.contacts.links]
+    weight = obj.mass * 9.81
+    result = None
+    for safety, least in demands.squeezes:
+        result = certify(
+            p_OCs,
+            n_OCs,
+            links,
+            mu=obj.friction,
+            mass=obj.mass,
+            p_OOcm=obj.p_OOcm,
+            length=obj.length,
+            R_WO=scene.X_WO.rotation().matrix(),
+            A=_effort_map(k, point, p_WCs, p_OCs, n_OCs),
+            effort=hand.effort,
+            safety=safety,
+            min_normal=least * weight,
+        )
+        if result.certificate is not None:
+            break
+    assert result is not None
+    if result.certificate is None:
+        return Outcome(None, f"certificate: {result.reason}")
+    if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
+        return Outcome(None, "task margin")
+    depth_parts, depth_mesh = penetrations(hand, k, scene)
+    if depth_parts > demands.penetration_m:
+        return Outcome(None, "penetration")
+    opened = pregrasp(hand, scene, k.X_WH, k.q)
+    if opened.clearance < 1e-3:
+        return Outcome(None, "pregrasp")
+    if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
+        return Outcome(None, "approach")
+    grasp = Grasp(
+        hand=hand.name,
+        object=obj.name,
+        X_WO=scene.X_WO,
+        X_WH=k.X_WH,
+        q=np.clip(k.q, hand.limits[0], hand.limits[1]),
+        certificate=result.certificate,
+        X_WH_pregrasp=opened.X_WH,
+        q_pregrasp=opened.q,
+        penetration_parts_m=depth_parts,
+        penetration_mesh_m=depth_mesh,
+    )
+    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)), "")
+
+
+def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
+    """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
+    R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
+    return effort_map(k.jacobian(point.contacts.links, p_WCs)[:, :, 6:], R_WCs)
+
+
+def polish(
+    program: GraspProgram,
+    *,
+    solver: str = "sequential",
+    protocol: LiftProtocol = LIFT,
+    demands: Demands = GIVEN,
+) -> Outcome:
+    """Solves a program and finishes the grasp; see `finish_grasp`."""
+    start = time.perf_counter()
+    # Posture and effort are preferences, not goals: the first point that holds is as good as the nearest one.
+    result = solve(program, solver=solver, improvement=np.inf)
+    if not result.success:
+        return Outcome(None, result.worst)
+    outcome = finish_grasp(program.hand, result.point, protocol=protocol, demands=demands)
+    if outcome.grasp is None:
+        return outcome
+    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
