@@ -14,6 +14,8 @@ from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.pregrasp import pregrasp
+from xdex_drake.grasping.proposers import Candidate
+from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.grasping.squeeze import squeeze_targets
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
@@ -62,12 +64,11 @@ class Outcome:
 
     Attributes:
         grasp: The certified grasp, None where there is none.
-        reason: Why there is none: the constraint that could not be met, "certificate: ...", "task margin",
-            "penetration", "pregrasp" (no clearance), or "approach" (no straight way of 10 cm to the pre-grasp).
+        reason: Why there is none; None where there is one.
     """
 
     grasp: Grasp | None
-    reason: str
+    reason: Rejection | None = None
 
 
 @lru_cache(maxsize=8)
@@ -136,17 +137,17 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
             break
     assert result is not None
     if result.certificate is None:
-        return Outcome(None, f"certificate: {result.reason}")
+        return Outcome(None, Rejection(Reason.CERTIFICATE, result.reason))
     if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
-        return Outcome(None, "task margin")
+        return Outcome(None, Rejection(Reason.TASK_MARGIN))
     depth_parts, depth_mesh = penetrations(hand, k, scene)
     if depth_parts > demands.penetration_m:
-        return Outcome(None, "penetration")
+        return Outcome(None, Rejection(Reason.PENETRATION))
     opened = pregrasp(hand, scene, k.X_WH, k.q)
     if opened.clearance < 1e-3:
-        return Outcome(None, "pregrasp")
+        return Outcome(None, Rejection(Reason.PREGRASP))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
-        return Outcome(None, "approach")
+        return Outcome(None, Rejection(Reason.APPROACH))
     grasp = Grasp(
         hand=hand.name,
         object=obj.name,
@@ -159,7 +160,7 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)), "")
+    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)))
 
 
 def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
@@ -180,8 +181,42 @@ def polish(
     # Posture and effort are preferences, not goals: the first point that holds is as good as the nearest one.
     result = solve(program, solver=solver, improvement=np.inf)
     if not result.success:
-        return Outcome(None, result.worst)
+        return Outcome(None, Rejection(Reason.CONSTRAINT, result.worst))
     outcome = finish_grasp(program.hand, result.point, protocol=protocol, demands=demands)
     if outcome.grasp is None:
         return outcome
-    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
+    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start))
+
+
+def finish(
+    candidate: Candidate,
+    *,
+    solver: str = "sequential",
+    protocol: LiftProtocol = LIFT,
+    demands: Demands = GIVEN,
+) -> Outcome:
+    """Makes of a candidate a certified grasp, or says why there is none.
+
+    Args:
+        candidate: The candidate; its programs are solved in turn.
+        solver: Solver of the programs.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The first program's grasp, named by the candidate, its share of the proposer's time included; where no program
+        ends in a grasp, the last one's reason.
+    """
+    outcome = None
+    for program in candidate.programs():
+        outcome = polish(program, solver=solver, protocol=protocol, demands=demands)
+        if outcome.grasp is not None:
+            grasp = replace(
+                outcome.grasp,
+                grasp_id=candidate.name,
+                source_grasp_id=candidate.source_grasp_id,
+                seconds=outcome.grasp.seconds + candidate.seconds,
+            )
+            return Outcome(grasp)
+    assert outcome is not None, "a candidate has at least one program"
+    return outcome

@@ -16,6 +16,7 @@ from xdex_drake.contact.margins import ball_margin, epsilon_linearized, min_weig
 from xdex_drake.contact.wrench import GRAVITY, balance, gravity_wrench, push_wrenches
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.description import Array
+from xdex_drake.typed_yaml import NOT_IN_FILE
 
 WrenchProgram = Literal["balance", "task_margin", "ball_margin", "epsilon", "min_weight"]
 
@@ -107,7 +108,7 @@ class WrenchProblem:
     length: float = 0.05
     most_force: float | None = None
     reaches: WrenchReaches = field(default_factory=WrenchReaches)
-    path: Path = field(default=Path(), init=False, compare=False)
+    path: Path = field(default=Path(), compare=False, metadata=NOT_IN_FILE)
 
     def __post_init__(self) -> None:
         """Refuses numbers that are out of range.
