@@ -7,10 +7,11 @@ rest.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import QueryObject, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContactApproximation, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
@@ -349,7 +350,8 @@ class _AtRest:
 
     def has_links_within(self, distance: float) -> bool:
         """Whether two shapes that may collide are nearer to each other than a distance [m]."""
-        query = self.scene_graph.get_query_output_port().Eval(self.scene_graph.GetMyContextFromRoot(self.context))
+        context = self.scene_graph.GetMyContextFromRoot(self.context)
+        query = cast(QueryObject, self.scene_graph.get_query_output_port().Eval(context))
         return bool(query.ComputeSignedDistancePairwiseClosestPoints(distance))
 
     def drift(self, seconds: float) -> float:
