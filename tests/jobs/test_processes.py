@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import gc
 import os
 import signal
 import subprocess
@@ -44,6 +45,20 @@ def draw(unit, seed):
 
 def process_id(unit):
     return os.getpid()
+
+
+class Knot:
+    """Something that only the collector ends, as it does Drake's diagrams."""
+
+    def __init__(self):
+        self.itself = self
+
+
+def knots(unit):
+    """Knots that earlier units left; leaves one more."""
+    left = sum(isinstance(thing, Knot) for thing in gc.get_objects())
+    Knot()
+    return left
 
 
 def threads(unit):
@@ -104,6 +119,10 @@ def test_a_process_is_replaced_after_some_units():
     results = [result.value for result in run_units(range(5), process_id, workers=1, units_per_process=2)]
     assert [results.count(pid) for pid in dict.fromkeys(results)] == [2, 2, 1]
     assert os.getpid() not in results
+
+
+def test_what_a_unit_leaves_in_circles_is_gone_before_the_next():
+    assert [result.value for result in run_units(range(5), knots, workers=1)] == [0] * 5
 
 
 def test_workers_use_one_thread_and_leave_the_environment_alone(monkeypatch):

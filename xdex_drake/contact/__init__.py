@@ -22,7 +22,6 @@ from xdex_drake.contact.margins import (
     task_margin,
 )
 from xdex_drake.contact.penetration import hand_depths, penetration_depth
-from xdex_drake.contact.primitives import bounding_sphere, half_spaces, signed_distance
 from xdex_drake.contact.wrench import (
     GRAVITY,
     Balance,
@@ -48,7 +47,6 @@ __all__ = [
     "balance_program",
     "ball_margin",
     "ball_margin_gradient",
-    "bounding_sphere",
     "certify",
     "check_certificate",
     "cone_edges",
@@ -60,7 +58,6 @@ __all__ = [
     "epsilon_linearized",
     "grasp_matrix",
     "gravity_wrench",
-    "half_spaces",
     "hand_depths",
     "in_cone",
     "min_weight",
@@ -68,7 +65,6 @@ __all__ = [
     "penetration_depth",
     "project_onto_cone",
     "push_wrenches",
-    "signed_distance",
     "squeeze_forces",
     "support",
     "task_margin",

@@ -8,6 +8,7 @@ process, as long as that has one thread, as the command line's has; else from a 
 imported the library and does nothing else.
 """
 
+import gc
 import multiprocessing as mp
 import os
 import pickle
@@ -375,10 +376,14 @@ def _serve(
     os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # also for whatever resets the mask
     threading.Thread(target=_end_with_caller, daemon=True).start()
+    # Drake's diagrams go in circles, which only the collector ends, and it counts Python's objects alone: it would let
+    # gigabytes lie. What is here already stays, so that to look after each unit takes no time.
+    gc.freeze()
     with suppress(EOFError, OSError):
         connection.send_bytes(b"ready")
         for _ in range(units_per_process):
             answer = _attempt(work, connection.recv())
+            gc.collect()
             try:
                 message = pickle.dumps(answer)
             except Exception as error:
