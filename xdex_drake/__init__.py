@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xdex_drake.contact.certificate import Residuals, certify, check_certificate
+    from xdex_drake.contact.grasp_map import Effort, GraspMap
+    from xdex_drake.contact.held_object import HeldObject
     from xdex_drake.contact.margins import ball_margin, task_margin
     from xdex_drake.contact.wrench import balance
     from xdex_drake.dataset.files import StoredGrasp, load_grasps, save_grasps
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "contact.certificate": ("Residuals", "certify", "check_certificate"),
+    "contact.grasp_map": ("Effort", "GraspMap"),
+    "contact.held_object": ("HeldObject",),
     "contact.margins": ("ball_margin", "task_margin"),
     "contact.wrench": ("balance",),
     "dataset.files": ("StoredGrasp", "load_grasps", "save_grasps"),
@@ -106,9 +110,12 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "Certificate",
     "Configuration",
     "Contact",
+    "Effort",
     "Grasp",
+    "GraspMap",
     "GraspProgram",
     "Hand",
+    "HeldObject",
     "Lift",
     "LiftProtocol",
     "ObjectModel",

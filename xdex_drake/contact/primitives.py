@@ -4,13 +4,11 @@ import weakref
 from typing import assert_never
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Sphere
-
-Array = NDArray[np.float64]
+from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
 
 # Half-spaces of convex geometries by the geometry's identity: they are plain values that cannot be hashed.
 _HALF_SPACES: dict[int, tuple[weakref.ref[Convex], Array]] = {}
