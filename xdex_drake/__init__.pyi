@@ -3,6 +3,9 @@
 from .contact.certificate import Residuals as Residuals
 from .contact.certificate import certify as certify
 from .contact.certificate import check_certificate as check_certificate
+from .contact.grasp_map import Effort as Effort
+from .contact.grasp_map import GraspMap as GraspMap
+from .contact.held_object import HeldObject as HeldObject
 from .contact.margins import ball_margin as ball_margin
 from .contact.margins import task_margin as task_margin
 from .contact.wrench import balance as balance

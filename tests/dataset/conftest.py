@@ -5,6 +5,7 @@ import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Coupling, Finger, Hand, Joint, Link
@@ -49,11 +50,7 @@ def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
         facts.p_OOcm + 0.03 * out_W @ R_OW.T,
         -out_W @ R_OW.T,
         [f"link{k}" for k in range(3)],
-        mu=facts.friction,
-        mass=facts.mass,
-        p_OOcm=facts.p_OOcm,
-        length=facts.length,
-        R_WO=X_WO.rotation().matrix(),
+        HeldObject(facts.mass, facts.length, facts.p_OOcm, facts.friction, X_WO.rotation().matrix()),
     ).certificate
     assert certificate is not None
     return Grasp(

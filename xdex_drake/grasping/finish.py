@@ -8,8 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from xdex_drake.contact.certificate import certify, contact_geometry
-from xdex_drake.contact.cones import effort_map
+from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.cones import contact_frames, effort_map
+from xdex_drake.contact.grasp_map import Effort
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.grasping.approach import straight_approach
@@ -116,23 +118,12 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
     n_OCs = n_WCs @ R_OW.T
     links = [hand.links[link].name for link in point.contacts.links]
-    weight = obj.mass * 9.81
+    held = HeldObject.of(scene)
+    J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
+    effort = Effort(effort_map(J, held.R_WO @ contact_frames(n_OCs)), hand.effort)
     result = None
     for safety, least in demands.squeezes:
-        result = certify(
-            p_OCs,
-            n_OCs,
-            links,
-            mu=obj.friction,
-            mass=obj.mass,
-            p_OOcm=obj.p_OOcm,
-            length=obj.length,
-            R_WO=scene.X_WO.rotation().matrix(),
-            A=_effort_map(k, point, p_WCs, p_OCs, n_OCs),
-            effort=hand.effort,
-            safety=safety,
-            min_normal=least * weight,
-        )
+        result = certify(p_OCs, n_OCs, links, held, effort=effort, safety=safety, min_normal=least * held.weight)
         if result.certificate is not None:
             break
     assert result is not None
@@ -161,12 +152,6 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         penetration_mesh_m=depth_mesh,
     )
     return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)))
-
-
-def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
-    """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
-    R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
-    return effort_map(k.jacobian(point.contacts.links, p_WCs)[:, :, 6:], R_WCs)
 
 
 def polish(
