@@ -9,7 +9,8 @@ import torch
 
 from xdex_drake.hand.batched_kinematics import rotation_step
 from xdex_drake.hand.library import load_hand
-from xdex_drake.programs.search import SearchSettings, TorchGrid, evaluate, sample_starts, search, search_problem
+from xdex_drake.programs.search import SearchSettings, evaluate, sample_starts, search, search_problem
+from xdex_drake.scene.grid_torch import TorchGrid
 
 
 def test_torch_grid_agrees_with_numpy(can_scene):

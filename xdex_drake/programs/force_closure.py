@@ -14,7 +14,8 @@ from xdex_drake.programs import constraints
 from xdex_drake.programs.grasp_types import GraspType, approach_cost, contact_slots, spread_cost
 from xdex_drake.programs.point import ContactSet, Point
 from xdex_drake.programs.program import Cost, GraspProgram, LeastSquares
-from xdex_drake.programs.search import Candidates, SearchSettings, search, sphere_pairs
+from xdex_drake.programs.search import Candidates, SearchSettings, search
+from xdex_drake.programs.spheres import sphere_pairs
 from xdex_drake.scene.tabletop import Scene
 
 
