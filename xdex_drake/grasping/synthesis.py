@@ -71,7 +71,7 @@ def candidates_of_batch(
     start = time.perf_counter()
     found = search(hand, scene, count=settings.batch, seed=seed, settings=settings.search)
     share = (time.perf_counter() - start) / settings.batch
-    costs = wishes(hand, settings.search)
+    costs = wishes(settings.search)
     hits: list[bool] = []
     for row in range(len(found.energy)):
         if not worth_going_on(hits, settings.batch):

@@ -10,6 +10,28 @@ from numpy.typing import NDArray
 
 from xdex_drake.hand.collision import self_collision_pairs
 from xdex_drake.hand.description import Hand
+from xdex_drake.programs.grasp_types import contact_slots
+
+SPACING = 1.0
+"""Distance between neighbouring spheres of a link in the search, in radii; the polish takes all of them."""
+
+PAIR_SPACING = 2.0
+"""The same for spheres of links that must stay apart."""
+
+
+@lru_cache(maxsize=64)
+def search_spheres(hand: Hand, *, palm: bool = False) -> NDArray[np.int64]:
+    """The spheres that energy terms keep apart from object and table; all of those of links that may touch.
+
+    Args:
+        hand: The hand.
+        palm: Whether the palm may touch.
+
+    Returns:
+        Indices into `hand.spheres`, rising, shape (m,).
+    """
+    slots = contact_slots(hand)
+    return spread_spheres(hand, spacing=SPACING, whole=[slot.link for slot in (slots if palm else slots[:-1])])
 
 
 def spread_spheres(hand: Hand, *, spacing: float, whole: Collection[int] = ()) -> NDArray[np.int64]:

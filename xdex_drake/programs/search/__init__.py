@@ -7,10 +7,10 @@ tangent. Distances come from the object's grid; the polish that follows uses exa
 
 from xdex_drake.programs.search.candidates import Candidates, State
 from xdex_drake.programs.search.descent import descend, refine, search
-from xdex_drake.programs.search.energy import evaluate
 from xdex_drake.programs.search.problem import SearchProblem, search_problem
 from xdex_drake.programs.search.settings import EnergyWeights, SearchSettings
 from xdex_drake.programs.search.starts import random_rotations, sample_starts, turned_towards
+from xdex_drake.programs.search.view import evaluate
 
 __all__ = [
     "Candidates",

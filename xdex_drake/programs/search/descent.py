@@ -12,10 +12,10 @@ import torch
 from xdex_drake.hand.batched_kinematics import rotation_step
 from xdex_drake.hand.description import Array, Hand
 from xdex_drake.programs.search.candidates import Candidates, State, candidates_of_state
-from xdex_drake.programs.search.energy import evaluate
 from xdex_drake.programs.search.problem import SearchProblem, search_problem
 from xdex_drake.programs.search.settings import SearchSettings
 from xdex_drake.programs.search.starts import sample_starts
+from xdex_drake.programs.search.view import evaluate
 from xdex_drake.scene.tabletop import Scene
 
 

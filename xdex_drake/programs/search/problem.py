@@ -9,17 +9,12 @@ import torch
 
 from xdex_drake.hand.batched_kinematics import BatchedHand, FixedPoints
 from xdex_drake.hand.description import Hand
-from xdex_drake.programs.grasp_types import approach_axis, contact_slots
+from xdex_drake.programs.grasp_types import approach_axis, contact_slots, finger_tips
 from xdex_drake.programs.search.settings import SearchSettings
-from xdex_drake.programs.spheres import sphere_pairs, spread_spheres
+from xdex_drake.programs.spheres import PAIR_SPACING, search_spheres, sphere_pairs
+from xdex_drake.programs.term import Term
 from xdex_drake.scene.grid_torch import TorchGrid
 from xdex_drake.scene.tabletop import Scene
-
-SPACING = 1.0
-"""Distance between neighbouring spheres of a link in the search, in radii; the polish takes all of them."""
-
-PAIR_SPACING = 2.0
-"""The same for spheres of links that must stay apart."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +37,8 @@ class SearchProblem:
         pairs: Differences between the centers of spheres that must not overlap.
         reach: Sum of the two radii of each pair [m], shape (n_pairs,).
         approach: Axis of the hand along which the palm approaches, in H, shape (3,).
+        tip_points: Tips of the fingers.
+        terms: Weights and terms of the energy.
         settings: Settings.
     """
 
@@ -60,6 +57,8 @@ class SearchProblem:
     pairs: FixedPoints
     reach: torch.Tensor
     approach: torch.Tensor
+    tip_points: FixedPoints
+    terms: tuple[tuple[float, Term], ...]
     settings: SearchSettings
 
 
@@ -82,6 +81,9 @@ def search_problem(
 
     Returns:
         The problem.
+
+    Raises:
+        ConfigError: Two terms of the settings have one name.
     """
 
     def tensor(values: object) -> torch.Tensor:
@@ -90,7 +92,7 @@ def search_problem(
     settings = settings or SearchSettings()
     slots = contact_slots(hand)
     slots = slots if settings.grasp_type == "power" else slots[:-1]
-    chosen = spread_spheres(hand, spacing=SPACING, whole=[slot.link for slot in slots])
+    chosen = search_spheres(hand, palm=settings.grasp_type == "power")
     rows = [np.searchsorted(chosen, slot.spheres) for slot in slots]
     width = max(len(r) for r in rows)
     padded = np.array([np.resize(r, width) for r in rows])
@@ -114,5 +116,7 @@ def search_problem(
         ),
         reach=tensor(hand.spheres[a, 3] + hand.spheres[b, 3]),
         approach=tensor(approach_axis(hand)[1]),
+        tip_points=batched.fixed_points(*finger_tips(hand)),
+        terms=settings.energy(),
         settings=settings,
     )

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from xdex_drake.errors import ConfigError
+from xdex_drake.programs.contact_forces import FORCE_FRICTION
 from xdex_drake.programs.grasp_types import GraspType
+from xdex_drake.programs.term import Term
+from xdex_drake.programs.terms import EQ_1
+from xdex_drake.programs.terms.approach import Approach
+from xdex_drake.programs.terms.spread import Spread
 
 
 @dataclass(frozen=True)
 class EnergyWeights:
-    """Weights of Eq. (1).
+    """Weights in place of the terms' own, by the names of Eq. (1) and of the wishes; None leaves a term its own.
 
     Attributes:
         fc: Force closure.
@@ -22,14 +28,14 @@ class EnergyWeights:
         spread: Distance between contacts, where one is asked for.
     """
 
-    fc: float = 10.0
-    dis: float = 100.0
-    sdf: float = 100.0
-    j: float = 1.0
-    s: float = 50.0
-    pad: float = 3.0
-    approach: float = 10.0
-    spread: float = 100.0
+    fc: float | None = None
+    dis: float | None = None
+    sdf: float | None = None
+    j: float | None = None
+    s: float | None = None
+    pad: float | None = None
+    approach: float | None = None
+    spread: float | None = None
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,8 @@ class SearchSettings:
     """Settings of the batched search.
 
     Attributes:
-        weights: Weights of the energy.
+        terms: Terms of the energy; `(*EQ_1, mine)` adds one of the user's own.
+        weights: Weights in place of the terms' own.
         iterations: Number of Adam steps.
         halfway: Fraction of the steps after which the candidates of highest energy are dropped.
         survivors: Fraction of the candidates that go on from there.
@@ -48,15 +55,13 @@ class SearchSettings:
         contacts: Greatest number of fingers that touch.
         friction_fraction: Fraction of the friction that the search's forces may use, so that a margin is left.
         force_steps: Projected-gradient steps on the contact forces for each step of the search.
-        estimator: "wrench" for forces in exact cones, "normals" for the paper's estimator |G n|^2.
-        pad_cosine: Cosine between contact normal and pad normal that is enough.
-        clearance: Distance from the object that spheres without contact keep in the search [m].
         grasp_type: Type of grasp: which fingers, and whether the palm, carry contact.
         approach: Direction that the palm shall come along, in W, of any length; any where None.
         approach_cosine: Cosine between the palm's direction and that one that is enough.
         spread: Distance that contact points shall keep from each other [m]; any where 0.
     """
 
+    terms: tuple[Term, ...] = EQ_1
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     iterations: int = 100
     halfway: float = 0.3
@@ -66,12 +71,30 @@ class SearchSettings:
     joint_step: float = 0.04
     oversample: int = 8
     contacts: int = 4
-    friction_fraction: float = 0.4
+    friction_fraction: float = FORCE_FRICTION
     force_steps: int = 3
-    estimator: str = "wrench"
-    pad_cosine: float = 0.6
-    clearance: float = 0.001
     grasp_type: GraspType = "any"
     approach: tuple[float, float, float] | None = None
     approach_cosine: float = 0.9
     spread: float = 0.0
+
+    def energy(self) -> tuple[tuple[float, Term], ...]:
+        """The terms with the weights that hold: those of `terms`, and the wishes that were made.
+
+        Returns:
+            Weights and terms.
+
+        Raises:
+            ConfigError: Two terms have one name.
+        """
+        terms: list[Term] = list(self.terms)
+        if self.spread > 0.0:
+            terms.append(Spread(self.spread))
+        if self.approach is not None:
+            terms.append(Approach(self.approach, self.approach_cosine))
+        names = [term.name for term in terms]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ConfigError(f"terms: two are named {twice[0]!r}; give each a name of its own")
+        given = {name: weight for name, weight in vars(self.weights).items() if weight is not None}
+        return tuple((given.get(term.name, term.weight), term) for term in terms)
