@@ -72,7 +72,7 @@ class Search:
         start = time.perf_counter()
         found = search(hand, scene, count=count, seed=seed, settings=self.settings)
         share = (time.perf_counter() - start) / count
-        costs = wishes(hand, self.settings)
+        costs = wishes(self.settings)
         build = partial(program_of_candidate, hand, scene, found, settings=self.polish, extra_costs=costs)
         for row in range(len(found.energy)):
             yield Candidate(str(row), lambda row=row: iter((build(row),)), share)

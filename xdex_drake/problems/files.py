@@ -285,6 +285,6 @@ def force_closure_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterat
         spread=problem.spread,
     )
     found = search(hand, scene, count=problem.starts, seed=problem.seed, settings=settings)
-    costs = wishes(hand, settings)
+    costs = wishes(settings)
     for row in range(len(found.energy)):
         yield program_of_candidate(hand, scene, found, row, settings=problem.polish, extra_costs=costs)
