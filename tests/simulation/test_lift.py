@@ -156,6 +156,17 @@ def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, sce
             assert gaps.min() >= (CLEARANCE if share == 0.0 else 1.9e-3)
 
 
+def test_large_spheres_pass_through_free_space(grasps, hand, scene):
+    links = tuple(
+        replace(link, spheres=np.column_stack([link.spheres[:, :3], np.full(len(link.spheres), 0.06)]))
+        for link in hand.links
+    )
+    swollen = replace(hand, links=links)
+    up = RigidTransform(grasps[0].X_WH.rotation(), scene.X_WO.translation() + np.array([0.0, 0.0, 0.6]))
+    way = straight_approach(swollen, scene, up, hand.q_rest)
+    assert way is not None and way.clearance > 0.1
+
+
 def test_a_hand_that_holds_the_object_has_no_straight_way(grasps, hand, scene):
     assert straight_approach(hand, scene, grasps[0].X_WH, grasps[0].q_squeeze) is None
 
