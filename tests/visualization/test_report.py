@@ -131,7 +131,7 @@ def test_folder_that_cannot_be_written_is_told(tmp_path, sections):
 
 def test_grasp_is_shown_without_pictures_where_none_can_be_made(monkeypatch, grasp, hand, scene, tmp_path):
     monkeypatch.setattr(report, "can_render", lambda: False)
-    shown = show_grasp(replace(grasp, q_squeeze=None), hand, scene, note="as it is")
+    shown = show_grasp(replace(grasp, tau_squeeze=None), hand, scene, note="as it is")
     assert shown.picture is None
     assert shown.replay == ""
     text = write_report(tmp_path, [ReportSection("one", grasps=[shown])]).read_text()

@@ -279,9 +279,9 @@ class LiftCommand:
         stored = load_grasps(self.file)
         if not stored:
             raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
-        unready = [item.grasp.grasp_id for item in stored if item.grasp.q_squeeze is None]
+        unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:
-            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
+            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze; make it with `xdex grasp`")
         paths = hand_paths(self.file)
         units = [
             LiftUnit(

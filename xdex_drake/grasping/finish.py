@@ -14,7 +14,7 @@ from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.pregrasp import pregrasp
-from xdex_drake.grasping.squeeze import squeeze_targets
+from xdex_drake.grasping.squeeze import squeeze
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
@@ -159,7 +159,7 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)), "")
+    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp), "")
 
 
 def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:

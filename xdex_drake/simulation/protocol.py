@@ -53,8 +53,6 @@ class LiftProtocol:
         mass_kg: Mass of the object [kg], None for its own.
         density: Density of the object [kg/m^3], None for its own mass; unused where `mass_kg` is given.
         friction: Coefficient of friction of the object, None for its own; that of hand and table is in `plant`.
-        squeeze_kp: Gain that a grasp's squeeze targets are for [N m/rad]; another one in `plant` plays them rescaled,
-            so that they command the same torques.
         start_depth_m: Penetration of hand and object that is forgiven at the start [m].
         max_height_error_m: Greatest difference of the object's rise from the wrist's [m], None for any.
         max_shift_m: Greatest distance of the object from where the rise should have carried it [m], None for any.
@@ -77,7 +75,6 @@ class LiftProtocol:
     mass_kg: float | None = None
     density: float | None = None
     friction: float | None = None
-    squeeze_kp: float = 1.0
     start_depth_m: float = 0.0
     max_height_error_m: float | None = None
     max_shift_m: float | None = None

@@ -56,11 +56,13 @@ def retreat(grasp: Grasp) -> Array:
 
 
 def squeezed(grasp: Grasp, protocol: LiftProtocol) -> Array:
-    """Squeeze targets for the gain of the protocol [rad or m], shape (n,)."""
-    assert grasp.q_squeeze is not None
-    if protocol.plant.kp == protocol.squeeze_kp:
-        return grasp.q_squeeze
-    return grasp.q + (grasp.q_squeeze - grasp.q) * (protocol.squeeze_kp / protocol.plant.kp)
+    """Targets q + tau / kp that squeeze by the springs alone [rad or m], shape (n,).
+
+    They drive each joint by the same torque as targets q with a feed-forward tau: kp (q - q_now) + tau. So they may lie
+    beyond the joint limits, where no joint ever gets.
+    """
+    assert grasp.tau_squeeze is not None
+    return grasp.q + grasp.tau_squeeze / protocol.plant.kp
 
 
 def _ramp(s: float, shape: str) -> float:
