@@ -111,6 +111,11 @@ class Lift:
     seconds: float
     hold: Hold | None = None
 
+    @property
+    def passed(self) -> bool:
+        """Whether the lift succeeded and, where the protocol goes on, the object was held."""
+        return self.success and (self.hold is None or self.hold.holds)
+
 
 @dataclass(frozen=True)
 class Grasp:

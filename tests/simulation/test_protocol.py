@@ -37,7 +37,7 @@ def grasps(hand, scene):
 
 def test_protocols_are_found_by_name():
     assert find_protocol("lift-0.2/2tips") is LIFT
-    assert list(PROTOCOLS) == ["lift-0.2/2tips", "frogger-lift", "bench-lift"]
+    assert list(PROTOCOLS) == ["lift-0.2/2tips", "hold", "frogger-lift", "bench-lift"]
     with pytest.raises(ConfigError, match="did you mean bench-lift"):
         find_protocol("bench-lft")
     with pytest.raises(ConfigError, match="use one of"):

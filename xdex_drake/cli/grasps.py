@@ -245,11 +245,12 @@ class LiftCommand:
 
     Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
     succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
-    friction, and with twice the mass.
+    friction, and with twice the mass. With `--protocol hold` the lifted object is held for two seconds and
+    pushed by its weight from six sides.
 
     Attributes:
         file: A file of grasps with pre-grasp and squeeze targets.
-        protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
+        protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
@@ -273,7 +274,7 @@ class LiftCommand:
         from xdex_drake.jobs.stored import LiftUnit, lost_lift, run_lift
         from xdex_drake.simulation.protocol import find_protocol
 
-        find_protocol(self.protocol)
+        protocol = find_protocol(self.protocol)
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
         stored = load_grasps(self.file)
@@ -301,17 +302,22 @@ class LiftCommand:
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
             for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
                 row = stored[unit.index].row
-                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
+                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, 0, {}])
                 tally[0] += 1
                 tally[1] += verdict.success
-                tally[2] += verdict.success == row["success"]
-                if not verdict.success:
-                    tally[3][verdict.failure_reason] = tally[3].get(verdict.failure_reason, 0) + 1
+                tally[2] += verdict.passed
+                tally[3] += verdict.success == row["success"]
+                if not verdict.passed:
+                    reason = verdict.failure_reason or (verdict.hold.reason if verdict.hold else "")
+                    tally[4][reason] = tally[4].get(reason, 0) + 1
                 rows[unit.index] = {**row, **lift_columns(verdict)}
                 bar.update()
         if rows:
             write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(paths))
-        lines = [(*key, n, good, same, counts(failed)) for key, (n, good, same, failed) in tallies.items()]
-        print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
+        lines = [(*key, *tally[:4], counts(tally[4])) for key, tally in tallies.items()]
+        header = ["hand", "object", "grasps", "lifted", "held", "as before", "failed by"]
+        if protocol.hold is None:  # Nothing is held then but what is lifted.
+            lines, header = [(*line[:4], *line[5:]) for line in lines], [*header[:4], *header[5:]]
+        print(table(lines, header))
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
         return interruption.status(0 if any(line[3] for line in lines) else 1)

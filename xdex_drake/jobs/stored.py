@@ -115,9 +115,13 @@ def lost_lift(unit: LiftUnit, failure: str) -> Lift:
     Returns:
         The verdict.
     """
+    from xdex_drake.simulation.hold import NOT_LIFTED
+    from xdex_drake.simulation.protocol import find_protocol
+
     reason = "timeout" if failure.startswith("timeout") else "simulation_failed"
     name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
-    return Lift(name, False, reason, float("nan"), (), 0.0)
+    hold = None if find_protocol(unit.protocol).hold is None else NOT_LIFTED
+    return Lift(name, False, reason, float("nan"), (), 0.0, hold)
 
 
 @lru_cache(maxsize=4)

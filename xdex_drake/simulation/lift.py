@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
-from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
@@ -100,6 +101,36 @@ class LiftRig:
         """Pose of the object."""
         assert self.bench.object_body is not None
         return self.bench.plant.EvalBodyPoseInWorld(self._plant_context, self.bench.object_body)
+
+    def X_WH(self) -> RigidTransform:
+        """Pose of the wrist frame."""
+        X_WB = self.bench.plant.EvalBodyPoseInWorld(self._plant_context, self.bench.links[0])
+        return X_WB @ RigidTransform(RotationMatrix(self.hand.R_HB), self.hand.p_HB).inverse()
+
+    def push(self, f_W: Array) -> None:
+        """Applies a force at the object's center of mass from now on.
+
+        Args:
+            f_W: The force in W [N], shape (3,); zero ends it.
+        """
+        assert self.bench.object_body is not None
+        force = ExternallyAppliedSpatialForce()
+        force.body_index = self.bench.object_body.index()
+        force.p_BoBq_B = self.scene.object.p_OOcm
+        force.F_Bq_W = SpatialForce(np.zeros(3), f_W)
+        port = self.bench.plant.get_applied_spatial_force_input_port()
+        port.FixValue(self._plant_context, [force] if np.any(f_W) else [])
+
+    def state(self) -> tuple[float, Array]:
+        """Time [s], and positions and velocities: all that the further simulation depends on."""
+        t = self.simulator.get_context().get_time()
+        return t, self.bench.plant.GetPositionsAndVelocities(self._plant_context).copy()
+
+    def restore(self, state: tuple[float, Array]) -> None:
+        """Goes back to a state of the same lift."""
+        self.simulator.get_mutable_context().SetTime(state[0])
+        self.bench.plant.SetPositionsAndVelocities(self._plant_context, state[1])
+        self.simulator.Initialize()
 
 
 def lift_rig(

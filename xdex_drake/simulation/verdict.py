@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.hold import NOT_LIFTED, Grip, Pusher, play_hold
 from xdex_drake.simulation.protocol import LiftProtocol
 
 _log = logging.getLogger(__name__)
@@ -40,30 +40,16 @@ class Touch:
     table_links: frozenset[int]
 
 
-class Player(Protocol):
+class Player(Pusher, Protocol):
     """A simulator that holds hand, object and table, ready to play any number of lifts."""
-
-    @property
-    def protocol(self) -> LiftProtocol:
-        """The protocol."""
-        ...
 
     @property
     def hand(self) -> Hand:
         """The hand."""
         ...
 
-    @property
-    def scene(self) -> Scene:
-        """The object on its table, with the protocol's mass and friction."""
-        ...
-
     def start(self, grasp: Grasp) -> None:
         """Puts hand and object at the begin of a lift, time zero, and takes up the lift's targets."""
-        ...
-
-    def advance_to(self, t: float) -> None:
-        """Simulates until a time [s]; a RuntimeError where the simulation breaks down."""
         ...
 
     def touching_at_rest(self, depth: float = 0.0) -> Touch:
@@ -72,10 +58,6 @@ class Player(Protocol):
 
     def touching(self) -> Touch:
         """Contacts of the last step."""
-        ...
-
-    def X_WO(self) -> RigidTransform:
-        """Pose of the object."""
         ...
 
 
@@ -87,7 +69,8 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
         grasp: A grasp with pre-grasp and squeeze targets.
 
     Returns:
-        Verdict, with the first failure reason of `FAILURE_REASONS` that matches where it failed.
+        Verdict, with the first failure reason of `FAILURE_REASONS` that matches where it failed, and what came after
+        the lift where the protocol goes on.
     """
     protocol = player.protocol
     # The limit is on time of the processor, so that a busy machine does not change a verdict.
@@ -96,7 +79,10 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
     z0 = _center_height(player)
 
     def result(reason: str, rise: float, tips: tuple[str, ...] = ()) -> Lift:
-        return Lift(protocol.name, reason == "", reason, rise, tips, time.perf_counter() - begin)
+        hold = None if protocol.hold is None else NOT_LIFTED
+        if not reason and grip is not None and protocol.hold is not None:
+            hold = play_hold(grip, protocol.hold, cpu_begin + protocol.cpu_limit_s)
+        return Lift(protocol.name, reason == "", reason, rise, tips, time.perf_counter() - begin, hold)
 
     at_rest = player.touching_at_rest()
     if at_rest.object_links and player.touching_at_rest(protocol.start_depth_m).object_links:
@@ -109,10 +95,13 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
     decided = squeezed + round(0.6 * protocol.rise_s / step)
     total = round(protocol.duration_s / step)
     after_squeeze = Touch(frozenset(), frozenset())
-    hit_table = False
+    hit_table, grip = False, None
     try:
         for k in sorted({*range(CHECK_STEPS, total, CHECK_STEPS), squeezed, decided, total}):
             player.advance_to(k * step)
+            if protocol.hold is not None and k >= squeezed:
+                grip = grip or Grip(player)
+                grip.look()
             rise = _center_height(player) - z0
             if time.process_time() - cpu_begin > protocol.cpu_limit_s:
                 return result("timeout", rise)
