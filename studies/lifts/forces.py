@@ -127,7 +127,7 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
 
 def squeeze(hand: "Hand", scene: "Scene", grasp: "Grasp", forces: "Array", kp: float) -> "tuple[Grasp, bool]":
     """The grasp with squeeze targets for other forces, and whether a joint's effort limits them."""
-    from xdex_drake.grasping.squeeze import contact_torques, squeeze_targets
+    from xdex_drake.grasping.squeeze import contact_torques, squeezed
     from xdex_drake.hand.kinematics import Configuration
 
     certificate = grasp.certificate
@@ -137,7 +137,7 @@ def squeeze(hand: "Hand", scene: "Scene", grasp: "Grasp", forces: "Array", kp: f
     other = replace(grasp, certificate=promise)
     torques = contact_torques(hand, Configuration.at(hand, grasp.X_WH, grasp.q), scene, promise)
     limited = bool(np.any(np.abs(torques) > hand.effort))
-    return replace(other, q_squeeze=squeeze_targets(hand, other, scene, kp)), limited
+    return squeezed(hand, other, torques, kp), limited
 
 
 def summarize(path: Path) -> None:

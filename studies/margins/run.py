@@ -69,7 +69,7 @@ def touching(hand: xd.Hand, scene: xd.Scene) -> Iterator[xd.Grasp]:
                 bare = xd.Grasp(hand.name, scene.object.name, scene.X_WO, k.X_WH, np.clip(k.q, *hand.limits))
                 bare = replace(bare, X_WH_pregrasp=opened.X_WH, q_pregrasp=opened.q)
                 if opened.clearance >= 1e-3:
-                    yield replace(bare, q_squeeze=squeeze_by_rule(hand, bare, scene, LIFT.plant.kp))
+                    yield squeeze_by_rule(hand, bare, scene, LIFT.plant.kp)
 
 
 POPULATIONS = {"touching": touching, "certified": certified}

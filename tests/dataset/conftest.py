@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from xdex_drake.contact.certificate import certify
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
-from xdex_drake.grasp import Grasp, Lift
+from xdex_drake.grasp import Grasp, Hold, Lift
 from xdex_drake.hand.description import Coupling, Finger, Hand, Joint, Link
 
 IDENTITY = np.eye(3)
@@ -53,6 +53,7 @@ def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
         HeldObject(facts.mass, facts.length, facts.p_OOcm, facts.friction, X_WO.rotation().matrix()),
     ).certificate
     assert certificate is not None
+    hold = Hold(True, "", 0.001, 0.02) if success else Hold(False, "not_lifted", float("nan"), float("nan"))
     return Grasp(
         hand="tiny",
         object=object,
@@ -63,11 +64,13 @@ def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
         X_WH_pregrasp=RigidTransform(rng.normal(size=3)),
         q_pregrasp=rng.uniform(-1.0, 1.0, 2),
         q_squeeze=rng.uniform(-1.0, 1.0, 2),
-        lift=Lift("lift-0.2/2tips", success, "" if success else "slipped", 0.25, ("index", "thumb"), 1.5),
+        tau_squeeze=rng.uniform(-1.0, 1.0, 2),
+        lift=Lift("hold", success, "" if success else "slipped", 0.25, ("index", "thumb"), 1.5, hold),
         grasp_id=grasp_id,
         source_grasp_id=source,
         penetration_parts_m=0.0003,
         penetration_mesh_m=float("nan"),
+        squeeze_margin=1.3,
         seconds=2.0,
     )
 

@@ -52,7 +52,9 @@ def sections(grasp):
             "Found",
             "Grasps.",
             [
-                ReportRow("allegro", "can", Tally(40, 12, 9, Counter(cone=28), Counter(not_grasped=3), seconds=31.25)),
+                ReportRow(
+                    "allegro", "can", Tally(40, 12, 9, 9, Counter(cone=28), Counter(not_grasped=3), seconds=31.25)
+                ),
                 ReportRow(HOSTILE, HOSTILE, Tally(1, rejected=Counter({HOSTILE: 1}), seconds=0.5)),
             ],
             [
@@ -133,7 +135,7 @@ def test_folder_that_cannot_be_written_is_told(tmp_path, sections):
 
 def test_grasp_is_shown_without_pictures_where_none_can_be_made(monkeypatch, grasp, hand, scene, tmp_path):
     monkeypatch.setattr(report, "can_render", lambda: False)
-    shown = show_grasp(replace(grasp, q_squeeze=None), hand, scene, note="as it is")
+    shown = show_grasp(replace(grasp, tau_squeeze=None), hand, scene, note="as it is")
     assert shown.picture is None
     assert shown.replay == ""
     text = write_report(tmp_path, [ReportSection("one", grasps=[shown])]).read_text()

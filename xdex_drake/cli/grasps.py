@@ -228,11 +228,12 @@ class LiftCommand:
 
     Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
     succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
-    friction, and with twice the mass.
+    friction, and with twice the mass. With `--protocol hold` the lifted object is held for two seconds and
+    pushed by its weight from six sides.
 
     Attributes:
         file: A file of grasps with pre-grasp and squeeze targets.
-        protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
+        protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
@@ -256,13 +257,13 @@ class LiftCommand:
         from xdex_drake.jobs.stored import lift_all, lift_units
         from xdex_drake.simulation.protocol import find_protocol
 
-        find_protocol(self.protocol)
+        protocol = find_protocol(self.protocol)
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
         stored = _grasps_of(self.file)
-        unready = [item.grasp.grasp_id for item in stored if item.grasp.q_squeeze is None]
+        unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:
-            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
+            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze; make it with `xdex grasp`")
         units = lift_units(stored, protocol=self.protocol, robust=self.robust)
         rows = {}
         tallies: dict[tuple[str, str], Tally] = {}
@@ -277,10 +278,11 @@ class LiftCommand:
                 bar.update()
         if rows:
             write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(hand_paths(self.file)))
-        lines = [
-            (*key, t.lifted + t.failed.total(), t.lifted, same[key], counted(t.failed)) for key, t in tallies.items()
-        ]
-        print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
+        lines = [(*key, t.simulated, t.lifted, t.held, same[key], counted(t.failed)) for key, t in tallies.items()]
+        header = ("hand", "object", "grasps", "lifted", "held", "as before", "failed by")
+        if protocol.hold is None:  # Nothing is held then but what is lifted.
+            lines, header = [(*line[:4], *line[5:]) for line in lines], (*header[:4], *header[5:])
+        print(table(lines, header))
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
         return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
 

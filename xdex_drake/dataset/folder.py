@@ -15,7 +15,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from xdex_drake.dataset.grasp_file import REMEDY, read_metadata, read_table, write_grasps
+from xdex_drake.dataset.grasp_file import READABLE, REMEDY, read_metadata, read_table, write_grasps
 from xdex_drake.dataset.schema import SCHEMA, SCHEMA_VERSION, Row
 from xdex_drake.errors import DatasetError, GraspFileError
 from xdex_drake.whole_file import PARTIAL, whole_file
@@ -105,10 +105,10 @@ def read_manifest(folder: str | Path) -> Manifest:
         ) from error
     except (OSError, TypeError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read: {error}; {REMEDY}") from error
-    if manifest.schema_version != SCHEMA_VERSION:
+    if str(manifest.schema_version) not in READABLE:
         raise DatasetError(
             f"{path}: schema_version is {manifest.schema_version}, but this version of the library reads "
-            f"{SCHEMA_VERSION}"
+            f"{' and '.join(sorted(READABLE))}"
         )
     return manifest
 

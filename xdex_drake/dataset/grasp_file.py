@@ -8,10 +8,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from xdex_drake.dataset.schema import SCHEMA, SCHEMA_VERSION, Row
+from xdex_drake.dataset.version_1 import SCHEMA_1, upgraded
 from xdex_drake.errors import GraspFileError, XdexError
 from xdex_drake.whole_file import whole_file
 
 _ROWS_PER_GROUP = 4096
+
+READABLE = {str(SCHEMA_VERSION): SCHEMA, "1": SCHEMA_1}
+"""Columns of each schema version that can be read."""
 
 
 REMEDY = "make it again, or take it from its source"
@@ -85,10 +89,14 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pa.Tab
         )
     # Without threads: they gain nothing on files of this size, and a process that has none can be forked.
     with _readable(target), pq.ParquetFile(target, page_checksum_verification=True, pre_buffer=False) as file:
-        _check_schema(file.schema_arrow, target)
-        table = file.read(columns=None if columns is None else list(columns), use_threads=False)
+        old = _check_schema(file.schema_arrow, target) == "1"
+        table = file.read(columns=None if columns is None or old else list(columns), use_threads=False)
         table.validate(full=True)
-        return table
+        if not old:
+            return table
+        metadata = {**(table.schema.metadata or {}), **(SCHEMA.metadata or {})}
+        table = upgraded(table).replace_schema_metadata(metadata)
+        return table if columns is None else table.select(list(columns))
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
@@ -141,20 +149,22 @@ def _readable(path: Path) -> Iterator[None]:
         raise GraspFileError(f"{path}: damaged, or no Parquet file: {error}; {REMEDY}") from error
 
 
-def _check_schema(schema: pa.Schema, path: Path) -> None:
-    """Raises where a file has other columns than this version of the library reads."""
+def _check_schema(schema: pa.Schema, path: Path) -> str:
+    """The schema version of a file; raises where it has other columns than this version of the library reads."""
     version = (schema.metadata or {}).get(b"xdex_schema_version")
     if version is None:
         raise GraspFileError(
             f"{path}: Parquet, but no file of grasps: xdex_schema_version is missing from its metadata"
         )
-    if version != str(SCHEMA_VERSION).encode():
+    known = version.decode(errors="replace")
+    if known not in READABLE:
         raise GraspFileError(
-            f"{path}: xdex_schema_version is {version.decode(errors='replace')}, but this version of the library reads "
-            f"{SCHEMA_VERSION}; read it with the version that wrote it"
+            f"{path}: xdex_schema_version is {known}, but this version of the library reads "
+            f"{' and '.join(sorted(READABLE))}; read it with the version that wrote it"
         )
     found = {field.name: field.type for field in schema}
-    wanted = {field.name: field.type for field in SCHEMA}
+    wanted = {field.name: field.type for field in READABLE[known]}
     if found != wanted:
         wrong = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
         raise GraspFileError(f"{path}: these columns are missing, unknown or of another type: {', '.join(wrong)}")
+    return known

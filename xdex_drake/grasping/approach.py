@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.math import RigidTransform
-from scipy.ndimage import map_coordinates
 
 from xdex_drake.grasping.pregrasp import NO_CONTACTS
 from xdex_drake.hand.description import Array, Hand
@@ -67,9 +66,7 @@ def straight_approach(
         if height < floor - 1e-9:
             continue
         centers = p_OSs[None] + steps[:, None, None] * (R_OW @ unit)
-        # Beyond the grid the value at its boundary is taken, which no true distance falls short of.
-        cells = ((centers - grid.origin) / grid.spacing).reshape(-1, 3).T
-        gaps = map_coordinates(grid.values, cells, order=1, mode="nearest").reshape(len(steps), -1) - radii
+        gaps = grid.lower_bounds(centers.reshape(-1, 3)).reshape(len(steps), -1) - radii
         if (least := float(gaps.min())) >= clearance:
             return Approach(unit, least, height)
     return None

@@ -13,12 +13,13 @@ from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
-from xdex_drake.grasp import Array, Grasp
+from xdex_drake.grasp import Array, Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
+from xdex_drake.grasping.idle import rest_idle_fingers
 from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.grasping.reasons import Reason, Rejection
-from xdex_drake.grasping.squeeze import squeeze_targets
+from xdex_drake.grasping.squeeze import squeeze
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
@@ -112,7 +113,7 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     Returns:
         The grasp, or the reason why there is none.
     """
-    scene, k, obj = point.scene, point.k, point.scene.object
+    scene, k = point.scene, point.k
     R_OW = scene.X_WO.rotation().matrix().T
     p_WCs, n_WCs = point.exact_contacts()
     p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
@@ -131,6 +132,30 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         return Outcome(None, Rejection(Reason.CERTIFICATE, result.reason))
     if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
         return Outcome(None, Rejection(Reason.TASK_MARGIN))
+    rested = rest_idle_fingers(hand, scene, k, links)
+    outcome = prepared(hand, scene, rested, result.certificate, protocol=protocol, demands=demands)
+    if outcome.grasp is None and rested is not k:
+        # Idle fingers near the object may bar the way to it: then they stay as they were.
+        return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
+    return outcome
+
+
+def prepared(
+    hand: Hand, scene: Scene, k: Configuration, certificate: Certificate, *, protocol: LiftProtocol, demands: Demands
+) -> Outcome:
+    """Measures the penetration of a certified grasp, opens it and squeezes it.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        k: The grasp's configuration.
+        certificate: Its certificate.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The grasp, or the reason why there is none.
+    """
     depth_parts, depth_mesh = penetrations(hand, k, scene)
     if depth_parts > demands.penetration_m:
         return Outcome(None, Rejection(Reason.PENETRATION))
@@ -141,17 +166,17 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         return Outcome(None, Rejection(Reason.APPROACH))
     grasp = Grasp(
         hand=hand.name,
-        object=obj.name,
+        object=scene.object.name,
         X_WO=scene.X_WO,
         X_WH=k.X_WH,
         q=np.clip(k.q, hand.limits[0], hand.limits[1]),
-        certificate=result.certificate,
+        certificate=certificate,
         X_WH_pregrasp=opened.X_WH,
         q_pregrasp=opened.q,
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(replace(grasp, q_squeeze=squeeze_targets(hand, grasp, scene, protocol.plant.kp)))
+    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp))
 
 
 def polish(

@@ -1,6 +1,13 @@
-"""Squeeze: joint targets that apply the forces of a grasp."""
+"""Squeeze: joint torques that apply the forces of a grasp.
+
+Joints are driven by kp (q - q_now) + tau, a feed-forward torque beside a spring toward the grasp. The same drive
+without feed-forward has its targets at q + tau / kp, which may lie beyond the joint limits. Where a tool takes targets
+alone, and keeps them within the limits, what is cut off is torque that it does not command.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,29 +55,45 @@ def contact_torques(hand: Hand, k: Configuration, scene: Scene, certificate: Cer
     return np.einsum("ka,kab->b", f_Ws, J)
 
 
-def squeeze_targets(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
-    """Joint targets whose PD torque at the grasp applies the certificate's forces: q + tau / kp.
+def squeezed(hand: Hand, grasp: Grasp, tau: Array, kp: float) -> Grasp:
+    """The grasp with a squeeze.
+
+    Args:
+        hand: The hand.
+        grasp: The grasp.
+        tau: Torques of the squeeze [N m or N], shape (n,); cut at the hand's effort limits.
+        kp: Proportional gain of the joints that `q_squeeze` is for [N m/rad].
+
+    Returns:
+        The grasp with `tau_squeeze`, and with `q_squeeze`, q + tau / kp cut at the joint limits.
+    """
+    tau = np.clip(tau, -hand.effort, hand.effort)
+    return replace(grasp, tau_squeeze=tau, q_squeeze=np.clip(grasp.q + tau / kp, *hand.limits))
+
+
+def squeeze(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Grasp:
+    """The grasp with a squeeze that applies its certificate's forces.
 
     Args:
         hand: The hand.
         grasp: A grasp with a certificate.
         scene: The scene.
-        kp: Proportional gain of the joints [N m/rad].
+        kp: Proportional gain of the joints that `q_squeeze` is for [N m/rad].
 
     Returns:
-        Targets [rad or m], shape (n,); torques are within the hand's effort limits.
+        The grasp with `tau_squeeze` and `q_squeeze`.
     """
     assert grasp.certificate is not None
     k = Configuration.at(hand, grasp.X_WH, grasp.q)
-    torques = np.clip(contact_torques(hand, k, scene, grasp.certificate), -hand.effort, hand.effort)
-    return grasp.q + torques / kp
+    return squeezed(hand, grasp, contact_torques(hand, k, scene, grasp.certificate), kp)
 
 
-def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
-    """Joint targets that squeeze a grasp without a certificate, by one rule for every method.
+def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Grasp:
+    """The grasp with a squeeze by one rule for every method, for grasps without a certificate.
 
     Each link that is within 10 mm of the object is taken for a contact at its nearest point, and the balance program
-    gives the forces. Where it finds none, each joint goes on by a tenth of its range in the sense in which it closed.
+    gives the forces. Where it finds none, the targets go on by a tenth of each joint's range in the sense in which it
+    closed.
 
     Args:
         hand: The hand.
@@ -79,7 +102,7 @@ def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
         kp: Proportional gain of the joints [N m/rad].
 
     Returns:
-        Targets [rad or m], shape (n,).
+        The grasp with `tau_squeeze` and `q_squeeze`.
     """
     assert grasp.q_pregrasp is not None
     k = Configuration.at(hand, grasp.X_WH, grasp.q)
@@ -99,6 +122,7 @@ def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Array:
         for safety in RULE_FRICTION:
             forces = balance(grasp_map, gravity_wrench(held.mass), effort=Effort(A, hand.effort), safety=safety)
             if forces.solved:
-                return grasp.q + np.clip(A @ forces.f, -hand.effort, hand.effort) / kp
+                return squeezed(hand, grasp, A @ forces.f, kp)
     low, high = hand.limits
-    return np.clip(grasp.q + RULE_CLOSING * (high - low) * np.sign(grasp.q - grasp.q_pregrasp), low, high)
+    closed = np.clip(grasp.q + RULE_CLOSING * (high - low) * np.sign(grasp.q - grasp.q_pregrasp), low, high)
+    return squeezed(hand, grasp, kp * (closed - grasp.q), kp)

@@ -179,6 +179,10 @@ def lost_lift(unit: LiftUnit, failure: Failure) -> Lift:
     Returns:
         The verdict.
     """
+    from xdex_drake.simulation.hold import NOT_LIFTED
+    from xdex_drake.simulation.protocol import find_protocol
+
     reason = "timeout" if failure.kind is FailureKind.TIMEOUT else "simulation_failed"
     name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
-    return Lift(name, False, reason, float("nan"), (), 0.0)
+    hold = None if find_protocol(unit.protocol).hold is None else NOT_LIFTED
+    return Lift(name, False, reason, float("nan"), (), 0.0, hold)

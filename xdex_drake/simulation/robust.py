@@ -45,8 +45,8 @@ class RobustLift:
     """What repeated lifts showed.
 
     Attributes:
-        lift: All repeats as one verdict: it succeeds where each one does; else it is the first that failed, of
-            protocol `robust:` and the name of the repeated one.
+        lift: All repeats as one verdict: it succeeds where each one does; else it is the first that failed to lift, or
+            to hold where all lift, of protocol `robust:` and the name of the repeated one.
         poses: The repeats under errors of pose.
         slippery: The repeat with less friction.
         heavy: The repeat with more mass.
@@ -60,7 +60,7 @@ class RobustLift:
     @property
     def share(self) -> float:
         """Share of all repeats that succeeded."""
-        return float(np.mean([one.success for one in (*self.poses, self.slippery, self.heavy)]))
+        return float(np.mean([one.passed for one in (*self.poses, self.slippery, self.heavy)]))
 
 
 def robust_lift(
@@ -95,7 +95,8 @@ def robust_lift(
     heavier = with_physics(scene, mass=settings.mass_factor * model.mass, friction=model.friction)
     heavy = lift(grasp, hand, heavier, protocol=protocol)
     every = (*poses, slippery, heavy)
-    first = next((one for one in every if not one.success), min(every, key=lambda one: one.lift_height_m))
+    failed = [one for one in every if not one.success] or [one for one in every if not one.passed]
+    first = failed[0] if failed else min(every, key=lambda one: one.lift_height_m)
     verdict = replace(first, protocol=f"robust:{protocol.name}", seconds=sum(one.seconds for one in every))
     return RobustLift(verdict, poses, slippery, heavy)
 

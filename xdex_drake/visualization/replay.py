@@ -227,7 +227,7 @@ def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
 
 
 def _require_lift(grasp: Grasp) -> None:
-    if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.q_squeeze is None:
+    if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.tau_squeeze is None:
         raise ConfigError(
             f"grasp {grasp.grasp_id or grasp.hand}: it has no pre-grasp or squeeze; lift it first, or show it still"
         )

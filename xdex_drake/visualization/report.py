@@ -112,7 +112,7 @@ def show_grasp(
         picture = render_grasp(grasp, hand, scene, size=size)
     else:
         _log.warning("pictures cannot be rendered on this machine; the report goes without")
-    if replay and grasp.q_squeeze is not None and grasp.q_pregrasp is not None:
+    if replay and grasp.tau_squeeze is not None and grasp.q_pregrasp is not None:
         try:
             page = record_lift(grasp, hand, scene, protocol=protocol).html
         except XdexError as error:

@@ -218,7 +218,7 @@ class BatchView:
         on_heights = total_pull(pulls, "heights")
         parts = [part for part in (on_distances, on_centers) if part is not None]
         if on_heights is None:
-            return sum(parts[1:], parts[0]) if parts else None
+            return torch.stack(parts).sum(dim=0) if len(parts) > 1 else next(iter(parts), None)
         total = sum(parts, torch.zeros_like(self._centers)) if len(parts) != 1 else parts[0]
         total[:, 2] += on_heights
         return total
