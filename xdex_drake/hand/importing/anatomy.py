@@ -185,14 +185,16 @@ def find_digits(tree: Tree, chains: list[Chain], decisions: Decisions) -> list[D
 def _along(hand: Hand, chain: Chain, R: Array, p: Array, p_BTip: Array) -> Array:
     """Unit vector along a finger at the zero posture, in B.
 
-    It is that of the first phalanx, from where the finger begins to bend on. Hubs, which may step aside, are shorter
-    than half of the longest phalanx. Where the finger as a whole leads elsewhere, the way from there to the tip counts.
+    It is that of the first phalanx, from where the finger begins to bend on. A phalanx leads to a joint that bends the
+    finger or to the tip; hubs, which may step aside, are shorter than half of the longest one. Where the finger as a
+    whole leads elsewhere, the way from there to the tip counts.
     """
     turning = [k for k in chain.bodies if hand.joints[k - 1].kind == "revolute"]
     axes = {k: R[k] @ hand.joints[k - 1].axis for k in turning}
     bending = [k for k in turning if abs(axes[k] @ axes[turning[-1]]) > PARALLEL]
     first = chain.bodies.index(bending[0]) if bending else 0
     ways = np.diff(np.array([*(p[k] for k in chain.bodies[first:]), p_BTip]), axis=0)
+    ways = ways[[k in bending or not bending for k in chain.bodies[first + 1 :]] + [True]]
     sizes = np.linalg.norm(ways, axis=1)
     whole = p_BTip - p[chain.bodies[first]]
     way = ways[int(np.argmax(sizes >= PHALANX * sizes.max()))]

@@ -97,7 +97,8 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
     decisions: Decisions = [*model.decisions, *(Decision("warning", "file", note) for note in model.notes)]
     _check_shapes(model)
     model = close_loops(_mend_scales(model, decisions), decisions)
-    tree = without_markers(find_hand(model, side, palm, decisions), decisions)
+    tree = find_hand(model, side, palm, lambda tree: _side_of(tree, model), decisions)
+    tree = without_markers(tree, decisions)
     chains = find_chains(tree, model, decisions)
     _check_fingers(model, tree, chains)
     digits = find_digits(tree, chains, decisions)
@@ -126,6 +127,11 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
         for member in body
     }
     return Imported(hand, tuple(decisions), frames)
+
+
+def _side_of(tree: Tree, model: FileModel) -> str | None:
+    """The side of a hand by the place of its thumb."""
+    return name_fingers(tree, find_digits(tree, find_chains(tree, model, []), []), None, []).side
 
 
 def _check_shapes(model: FileModel) -> None:
@@ -281,21 +287,23 @@ def _say_narrow(hand: Hand, decisions: Decisions) -> None:
 
 
 def _say_crowded(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> None:
-    """Warns where links overlap in most of the postures between the open hand and the rest posture, and beyond it."""
+    """Warns where links overlap in most of the postures from a little before the rest posture to nearly closed ones."""
     lower, upper = hand.limits
     closing = np.sum([digit.closing for digit in anatomy.digits], axis=0)
     closed = np.where(closing > 0.0, upper, np.where(closing < 0.0, lower, hand.q_rest))
-    shares = np.linspace(-0.5, 0.5, CROWDED_POSTURES)[:, None]
+    shares = np.linspace(-0.25, 0.75, CROWDED_POSTURES)[:, None]
     qs = np.clip(hand.q_rest + shares * (closed - hand.q_rest), lower, upper)
-    pairs = self_collision_pairs(hand)
+    # Fingertips meet where a hand closes; a finger does not meet itself or the palm that soon.
+    paths = [{0, *digit.chain.path} for digit in anatomy.digits]
+    pairs = [(int(i), int(j)) for i, j in self_collision_pairs(hand) if any({i, j} <= path for path in paths)]
     count = np.zeros(len(pairs), dtype=int)
     for q in qs:
         at = spheres_of_links(hand, q)
-        count += [sphere_distance(at[i], at[j]) <= 0.0 for i, j in pairs]
-    often = [(int(i), int(j)) for (i, j), n in zip(pairs, count, strict=True) if 2 * n > len(qs)]
+        count += np.array([sphere_distance(at[i], at[j]) <= 0.0 for i, j in pairs], dtype=int)
+    often = [pair for pair, n in zip(pairs, count, strict=True) if 2 * n > len(qs)]
     if often:
-        text = f"{_pair_names(hand, often)} overlap in most postures about the rest posture, so that most grasps will "
-        text += "be rejected; add these pairs to ignored_contacts where they are nested parts."
+        text = f"{_pair_names(hand, often)} overlap in most postures between the rest posture and the closed one, so "
+        text += "that most grasps will be rejected; add them to ignored_contacts where they are nested parts."
         decisions.append(Decision("warning", "hand", text))
 
 

@@ -118,7 +118,10 @@ def _travel(hand: Hand, path: list[int], base: int, points: Array) -> float:
     most = 0.0
     for motor in np.flatnonzero((hand.coupling_matrix[[k - 1 for k in path]] != 0.0).any(axis=0)):
         qs = np.repeat(q0[None], 9, axis=0)
-        qs[:, motor] = np.linspace(lower[motor], upper[motor], 9)
+        # A narrow range does not make a finger a knob.
+        turns = not any(hand.prismatic[k - 1] for k in path if hand.coupling_matrix[k - 1, motor] != 0.0)
+        width = max(float(upper[motor] - lower[motor]), 1.0 if turns else 0.0)
+        qs[:, motor] = 0.5 * (lower[motor] + upper[motor]) + width * np.linspace(-0.5, 0.5, 9)
         R, p = link_poses(hand, qs)
         p_BM = p[:, path[0]] + R[:, path[0]] @ middle
         p_base = np.einsum("nji,nj->ni", R[:, base], p_BM - p[:, base])

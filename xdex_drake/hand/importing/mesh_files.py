@@ -162,6 +162,10 @@ class MeshFiles:
                 f"{name[:200]!r} does not exist: say where that package is by --package {package}=FOLDER (packages= in "
                 "Python), or set ROS_PACKAGE_PATH"
             )
+        if elsewhere:
+            raise MissingMesh(
+                f"{name[:200]!r} does not exist here, nor does the end of that path in the hand's folder; copy it there"
+            )
         raise MissingMesh(f"{name[:200]!r} does not exist")
 
     def _may_read(self, file: Path) -> bool:

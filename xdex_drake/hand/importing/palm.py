@@ -1,5 +1,6 @@
 """The palm: the link that the fingers branch from. What carries it, an arm or a forearm, is left out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,13 +67,20 @@ class Robot:
     why: str
 
 
-def find_hand(model: FileModel, side: str | None, palm: str | None, decisions: Decisions) -> Tree:
+def find_hand(
+    model: FileModel,
+    side: str | None,
+    palm: str | None,
+    side_of: Callable[[Tree], str | None],
+    decisions: Decisions,
+) -> Tree:
     """Cuts the hand out of a robot.
 
     Args:
         model: A checked robot.
         side: "right" or "left", which of two hands is meant.
         palm: Name of the palm's link where a person says so.
+        side_of: Tells the side of a hand by its shape, for hands whose names do not.
         decisions: Grows by what was decided.
 
     Returns:
@@ -86,8 +94,8 @@ def find_hand(model: FileModel, side: str | None, palm: str | None, decisions: D
         raise HandFileError(f"{model.source}: palm {palm!r} is no link of the file; name one of {known}")
     robot = find_hands(model)
     if palm is None:
-        palm = _choose(robot, side)
-    tree = build_tree(robot.model, palm, decisions, without=robot.without, apart=robot.apart)
+        palm = _choose(robot, side, side_of)
+    tree = _cut(robot, palm, decisions)
     inside = {member.link.name for body in tree.members for member in body}
     _say_behind(robot.model, tree, decisions)
     _say_no_fingers(robot, inside, decisions)
@@ -119,19 +127,24 @@ def find_hands(model: FileModel) -> Robot:
     return Robot(model, without, tuple(held), tuple(palms), frozenset(apart), _why(tree))
 
 
-def _choose(robot: Robot, side: str | None) -> str | None:
-    """The palm that is meant; None for the base of a hand of one finger."""
+def _choose(robot: Robot, side: str | None, side_of: Callable[[Tree], str | None]) -> str:
+    """The palm that is meant."""
     source, palms = robot.model.source, list(robot.palms)
     if not palms:
         raise HandFileError(f"{source}: there is no hand in it: {robot.why}; give a hand of two fingers or more")
     if len(palms) > 1 and side is not None:
-        palms = [name for name in palms if _side_below(robot.model, name) == side] or palms
+        by_names = [name for name in palms if _side_below(robot.model, name) == side]
+        palms = by_names or [name for name in palms if side_of(_cut(robot, name, [])) == side] or palms
     if len(palms) > 1:
         raise HandFileError(
             f"{source}: the robot has several hands, at {join(palms)}; choose one by --side right or --palm {palms[0]} "
             "(side= or palm= in Python)"
         )
     return palms[0]
+
+
+def _cut(robot: Robot, palm: str, decisions: Decisions) -> Tree:
+    return build_tree(robot.model, palm, decisions, without=robot.without, apart=robot.apart)
 
 
 def _below(model: FileModel, top: str) -> list[str]:
