@@ -134,7 +134,8 @@ class HandImport:
     used wherever a HAND is asked for. To grasp at once, this command is not needed: `xdex grasp --hand hand.urdf ...`.
 
     Meshes are read from the hand's own folder only: that of the file, or the ROS package (marked by package.xml) that
-    the file lies in. A xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
+    the file lies in, and packages beside it or on ROS_PACKAGE_PATH that it names. --root and --package allow more. A
+    xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
 
     Try `xdex hand import hand.urdf --out hand.yaml --html hand.html`.
 
@@ -142,8 +143,10 @@ class HandImport:
         file: The file: .urdf, .xml (MJCF or URDF) or .sdf.
         name: Name of the hand, as it stands in grasp files; made from the file's name where not given.
         out: Where to write the description, a .yaml file; NAME.yaml in this folder where not given.
-        side: Which hand it is, where the file cannot tell.
+        side: Which hand it is, where the file cannot tell; of a robot with two hands, the one to take.
         palm: Name of the link that the fingers grow from, where the one that was found is wrong.
+        root: A folder in which meshes and included files may lie besides the hand's own, as --root ..
+        package: Where ROS packages that the file names are, as --package my_hand=../my_hand.
         html: Write a page with the hand, a slider for every joint, and each decision.
     """
 
@@ -152,6 +155,8 @@ class HandImport:
     out: Path | None = None
     side: Literal["right", "left"] | None = None
     palm: str | None = None
+    root: Path | None = None
+    package: tuple[str, ...] = ()
     html: Path | None = None
 
     def run(self) -> int:
@@ -163,7 +168,9 @@ class HandImport:
         from xdex_drake.hand.importing.files import import_hand
         from xdex_drake.hand.yaml_file import write_hand
 
-        imported = import_hand(self.file, name=self.name, side=self.side, palm=self.palm)
+        imported = import_hand(
+            self.file, name=self.name, side=self.side, palm=self.palm, root=self.root, packages=_packages(self.package)
+        )
         hand = imported.hand
         out = self.out or Path(f"{hand.name}.yaml")
         if self.out is None:
@@ -202,6 +209,16 @@ class HandImport:
             write_text(self.html, import_page(imported))
             print(f"{hand.name}: {self.html}")
         return 0
+
+
+def _packages(words: tuple[str, ...]) -> dict[str, Path]:
+    packages = {}
+    for word in words:
+        name, equals, folder = word.partition("=")
+        if not (name and equals and folder):
+            raise ConfigError(f"--package {word}: give a name and a folder, as --package my_hand=../my_hand")
+        packages[name] = Path(folder)
+    return packages
 
 
 def _millimetres(p: Array) -> str:

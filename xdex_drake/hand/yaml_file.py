@@ -66,7 +66,7 @@ def read_hand(path: str | Path) -> Hand:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise HandFileError(f"{path}: the file cannot be read ({error}); give a readable UTF-8 text file") from error
-    return _parse(text, str(path))
+    return parse_hand(text, str(path))
 
 
 def write_hand(hand: Hand, path: str | Path) -> None:
@@ -263,7 +263,19 @@ class _Field:
         return np.array([row.vector(n) for row in rows])
 
 
-def _parse(text: str, file: str) -> Hand:
+def parse_hand(text: str, file: str) -> Hand:
+    """Reads a hand description from its text.
+
+    Args:
+        text: The text, as `hand_text` gives it.
+        file: Where it comes from, for messages.
+
+    Returns:
+        The hand, checked as by `read_hand`.
+
+    Raises:
+        HandFileError: It does not describe a hand.
+    """
     root = _Field(_load(text, file), file, "")
     fields = root.table(
         ("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.hand.importing.decisions import Decision
 from xdex_drake.hand.shapes import circle
 
 
@@ -97,12 +98,19 @@ class FileLink:
         visual: What is drawn, in L.
         collision: What collides, in L.
         inertia: None where the file gives none.
+        lost: For each shape that the file names but that could not be read, why.
     """
 
     name: str
     visual: tuple[FileGeometry, ...] = ()
     collision: tuple[FileGeometry, ...] = ()
     inertia: FileInertia | None = None
+    lost: tuple[str, ...] = ()
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether the file gives the link a shape, readable or not."""
+        return bool(self.visual or self.collision or self.lost)
 
 
 @dataclass(frozen=True)
@@ -149,6 +157,19 @@ class FileJoint:
 
 
 @dataclass(frozen=True)
+class FileLoop:
+    """A point of one link that coincides with a point of another: what closes a chain of joints to a loop.
+
+    Attributes:
+        links: Names of the two links.
+        points: The point in the frame of each [m], shape (2, 3).
+    """
+
+    links: tuple[str, str]
+    points: Array
+
+
+@dataclass(frozen=True)
 class FileModel:
     """A robot as its file has it: a tree of links.
 
@@ -159,6 +180,8 @@ class FileModel:
         joints: Joints.
         ignored_pairs: Pairs of links whose collision the file rules out.
         notes: What the reader had to leave out or change, one sentence each.
+        decisions: What the reader decided or mended.
+        loops: Points that hold together besides the tree's joints.
     """
 
     name: str
@@ -167,3 +190,5 @@ class FileModel:
     joints: tuple[FileJoint, ...]
     ignored_pairs: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+    loops: tuple[FileLoop, ...] = ()

@@ -5,6 +5,7 @@ of the same radius and volume, a shorter one a prism. A mesh is taken apart into
 hull, or several where that hull would stand out of its surface by more than `CONCAVITY`.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from xdex_drake.hand.description import Array, Capsule, Convex, Geometry
-from xdex_drake.hand.importing.bodies import Member
-from xdex_drake.hand.importing.decisions import Decision, Decisions
+from xdex_drake.hand.importing.bodies import Member, Tree
+from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import Cylinder, FileGeometry, TriangleMesh
 from xdex_drake.hand.shapes import circle
 
@@ -74,13 +75,41 @@ def link_shapes(name: str, members: tuple[Member, ...], decisions: Decisions) ->
             shapes.extend(_primitives(shape.moved(*_rotation_and_origin(member)), name, decisions))
     if from_visual:
         text = "has no collision shape; its visual shape is used instead."
-        for link in from_visual:
-            decisions.append(Decision("decided", f"link {link}", text))
+        decisions.append(Decision("decided", f"link {join(from_visual)}", text))
     return tuple(shapes)
 
 
+def without_markers(tree: Tree, decisions: Decisions) -> Tree:
+    """Leaves out what is drawn to mark a frame: visual primitives of links that do not collide, on a body that does.
+
+    Args:
+        tree: The hand.
+        decisions: Grows by what was decided.
+
+    Returns:
+        The hand without these shapes.
+    """
+    bodies, marks = [], []
+    for body in tree.members:
+        if any(member.link.collision for member in body):
+            for k, member in enumerate(body):
+                drawn = tuple(shape for shape in member.link.visual if isinstance(shape, TriangleMesh))
+                if not member.link.collision and len(drawn) < len(member.link.visual):
+                    body = (*body[:k], replace(member, link=replace(member.link, visual=drawn)), *body[k + 1 :])
+                    marks.append(member.link.name)
+        bodies.append(body)
+    if marks:
+        text = (
+            "its visual primitives collide with nothing, though other shapes of its body do; taken as marks, left out."
+        )
+        decisions.append(Decision("decided", f"link {join(marks)}", text))
+    return replace(tree, members=tuple(bodies))
+
+
 def surface_points(members: tuple[Member, ...]) -> Array:
-    """Points that span the surface of a body, of its visual and its collision shapes.
+    """Points that span the surface of a body, of its collision shapes and of its visual ones but for marks.
+
+    Primitives that are drawn only are marks where the body has anything that collides.
 
     Args:
         members: Its links.
@@ -88,11 +117,11 @@ def surface_points(members: tuple[Member, ...]) -> Array:
     Returns:
         Points in L [m], shape (n, 3).
     """
-    points = [
-        shape.moved(*_rotation_and_origin(member)).corners()
-        for member in members
-        for shape in (*member.link.collision, *member.link.visual)
-    ]
+    collides = any(member.link.collision for member in members)
+    points = []
+    for member in members:
+        drawn = [shape for shape in member.link.visual if isinstance(shape, TriangleMesh) or not collides]
+        points += [shape.moved(*_rotation_and_origin(member)).corners() for shape in (*member.link.collision, *drawn)]
     return np.concatenate(points) if points else np.zeros((0, 3))
 
 
