@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from xdex_drake.hand.library import list_hands, load_hand
     from xdex_drake.hand.mirror import mirror, replace_tip
     from xdex_drake.hand.variation import apply_operations, remove_finger, scale_hand
+    from xdex_drake.interchange.mjcf import export_mjcf
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
     from xdex_drake.programs.link_pose_ik import link_pose_ik, link_pose_ik_program
     from xdex_drake.programs.problems import list_problems, load_problem
@@ -72,6 +73,7 @@ _MODULES = {
     "hand.library": ("list_hands", "load_hand"),
     "hand.mirror": ("mirror", "replace_tip"),
     "hand.variation": ("apply_operations", "remove_finger", "scale_hand"),
+    "interchange.mjcf": ("export_mjcf",),
     "programs.force_closure": ("force_closure_program", "polish_program"),
     "programs.link_pose_ik": ("link_pose_ik", "link_pose_ik_program"),
     "programs.problems": ("list_problems", "load_problem"),
@@ -128,6 +130,7 @@ __all__ = [  # noqa: PLE0604, RUF100 - names that are found when asked for
     "check_certificate",
     "check_hand",
     "depth_cloud",
+    "export_mjcf",
     "export_urdf",
     "find_protocol",
     "finish_grasp",

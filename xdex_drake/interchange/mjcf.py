@@ -1,0 +1,279 @@
+"""Writes hands and scenes as MJCF, the format of MuJoCo, with all that MuJoCo needs to play them as they are.
+
+MuJoCo's defaults are not those of a light hand. A contact there is as soft as the bodies that meet are light: pressed
+with a force f it sinks by
+
+    r = f (1 - d) / d / (m k),    k = 1 / (d tau)^2,
+
+with d the impedance of `solimp`, tau the time constant of `solref` and m the inertia that the contact feels. So an
+exported model sets the time constant and the impedance of every contact and, as hands with geared motors have it, an
+armature at every joint, which is what the contacts then feel. `docs/mujoco.md` gives the numbers, measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+from pydrake.math import RotationMatrix
+
+from xdex_drake.errors import ConfigError
+from xdex_drake.hand.collision import ignored_pairs
+from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
+from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
+from xdex_drake.scene.plant import PlantSettings
+
+LEAST_RANGE = 1e-6
+"""Range of a joint whose limits are equal, which MuJoCo refuses [rad or m]."""
+
+BODY_ORDER = ("inertial", "freejoint", "joint", "geom", "site", "body")
+"""What stands first in a body; MuJoCo does not mind, people do."""
+
+
+@dataclass(frozen=True)
+class MjcfSettings:
+    """What an exported model says of MuJoCo's physics besides the hand's own facts.
+
+    Attributes:
+        time_step: Length of a step [s].
+        time_constant: Time constant of contacts, limits and couplings, `solref` [s]; at least two steps.
+        impedance: Impedance of contacts at zero and at full depth, and that depth [m]: `solimp`.
+        impratio: How much stiffer friction is than normal contact; MuJoCo's friction creeps, the less the greater.
+        armature: Inertia that the motor adds to a revolute joint [kg m^2].
+        slide_armature: Mass that the motor adds to a prismatic joint [kg]: that of `armature` at a lever of 5 cm.
+    """
+
+    time_step: float = 0.002
+    time_constant: float = 0.004
+    impedance: tuple[float, float, float] = (0.95, 0.99, 0.001)
+    impratio: float = 10.0
+    armature: float = 5e-4
+    slide_armature: float = 0.2
+
+
+MJCF = MjcfSettings()
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """A model as MJCF.
+
+    Attributes:
+        xml: The MJCF file's text.
+        meshes: Files of the folder `meshes` beside it, by name.
+    """
+
+    xml: str
+    meshes: Mapping[str, str] = field(repr=False)
+
+    def write(self, file: str | Path) -> Path:
+        """Writes the file and its meshes.
+
+        Args:
+            file: The .xml file; folders are made where they do not exist.
+
+        Returns:
+            The file.
+
+        Raises:
+            ConfigError: It cannot be written.
+        """
+        file = Path(file)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if self.meshes:
+                (file.parent / "meshes").mkdir(exist_ok=True)
+            for name, text in self.meshes.items():
+                (file.parent / "meshes" / name).write_text(text, encoding="ascii")
+            file.write_text(self.xml, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{file}: cannot be written ({error.strerror}); choose another folder") from None
+        return file
+
+
+def export_mjcf(hand: Hand, folder: str | Path) -> Path:
+    """Writes NAME.xml and meshes/*.obj into a folder: a hand that MuJoCo opens; see `hand_mjcf`.
+
+    Args:
+        hand: The hand.
+        folder: The folder; made where it does not exist.
+
+    Returns:
+        Path of the MJCF file.
+
+    Raises:
+        ConfigError: The folder cannot be written.
+    """
+    return hand_mjcf(hand).write(Path(folder) / f"{file_name(hand.name)}.xml")
+
+
+def hand_mjcf(hand: Hand, *, plant: PlantSettings | None = None, settings: MjcfSettings = MJCF) -> Mjcf:
+    """A hand as MJCF, its wrist frame H fixed in the world's.
+
+    Bodies, joints, limits, couplings, inertias and shapes are the hand's; a body's frame is L. Every actuated joint has
+    a position actuator of its name with torque kp (ctrl - q) - kd dq/dt within its effort. As in the lifts of this
+    library the hand feels no gravity. Sites mark the wrist frame and the fingertips. Pairs of links whose contact is
+    ignored (`hand.collision`) are excluded.
+
+    Args:
+        hand: The hand.
+        plant: Gains and friction; the library's where None.
+        settings: MuJoCo's physics.
+
+    Returns:
+        The model.
+    """
+    plant = plant or PlantSettings()
+    model = _Model(hand.name, settings)
+    wrist = SubElement(model.world, "body", {"name": unused("mount", hand), "childclass": "hand", "gravcomp": "1"})
+    model.add_hand(wrist, hand, plant)
+    return model.finished()
+
+
+def body_name(link: Link) -> str:
+    """Name of a link's body; `world` is taken by MuJoCo."""
+    return link.name if link.name != "world" else "world_link"
+
+
+def unused(name: str, hand: Hand) -> str:
+    """A name like the given one that no link of a hand has."""
+    taken = {body_name(link) for link in hand.links}
+    while name in taken:
+        name += "_"
+    return name
+
+
+def depth_first(hand: Hand) -> list[int]:
+    """The order of MuJoCo's joint values: indices into `hand.joints`, every finger to its tip before the next one."""
+    order, stack = [], [0]
+    while stack:
+        link = stack.pop()
+        if link:
+            order.append(link - 1)
+        stack += reversed(np.flatnonzero(hand.parents == link).tolist())
+    return order
+
+
+class _Model:
+    """An MJCF file while it is written."""
+
+    def __init__(self, name: str, settings: MjcfSettings) -> None:
+        self.settings = settings
+        self.meshes: dict[str, str] = {}
+        self.root = Element("mujoco", {"model": name})
+        SubElement(self.root, "compiler", {"angle": "radian", "autolimits": "true", "meshdir": "meshes"})
+        option = {"timestep": number(settings.time_step), "integrator": "implicitfast"}
+        SubElement(self.root, "option", {**option, "cone": "elliptic", "impratio": number(settings.impratio)})
+        self.defaults = SubElement(self.root, "default")
+        self.asset = SubElement(self.root, "asset")
+        self.world = SubElement(self.root, "worldbody")
+        self.contact = SubElement(self.root, "contact")
+        self.equality = SubElement(self.root, "equality")
+        self.actuator = SubElement(self.root, "actuator")
+
+    def finished(self) -> Mjcf:
+        """The file; sections without content are left out."""
+        for section in (self.asset, self.contact, self.equality, self.actuator):
+            if not len(section):
+                self.root.remove(section)
+        for body in self.world.iter("body"):
+            body[:] = sorted(body, key=lambda element: BODY_ORDER.index(element.tag))
+        indent(self.root)
+        return Mjcf(tostring(self.root, encoding="unicode") + "\n", self.meshes)
+
+    @property
+    def soft(self) -> tuple[str, str]:
+        """The time constant with critical damping, and the impedance, as MuJoCo's `solref` and `solimp`."""
+        return f"{number(self.settings.time_constant)} 1.0", numbers(np.array(self.settings.impedance))
+
+    def add_hand(self, wrist: Element, hand: Hand, plant: PlantSettings) -> None:
+        """Adds a hand below a body whose frame is H."""
+        solref, solimp = self.soft
+        default = SubElement(self.defaults, "default", {"class": "hand"})
+        armature = {"armature": number(self.settings.armature), "damping": number(JOINT_DAMPING)}
+        SubElement(default, "joint", {**armature, "solreflimit": solref, "solimplimit": solimp})
+        surface = {"solref": solref, "solimp": solimp, "condim": "3", "friction": number(plant.friction)}
+        SubElement(default, "geom", surface)
+        gains = {"kp": number(plant.kp), "kv": number(plant.kd)}
+        SubElement(default, "position", gains)
+        poses = [(hand.p_HB, hand.R_HB), *((joint.p_PJ, joint.R_PJ) for joint in hand.joints)]
+        bodies: list[Element] = []
+        for link, parent, (p, R) in zip(hand.links, hand.parents, poses, strict=True):
+            above = bodies[int(parent)] if bodies else wrist
+            place = {"name": body_name(link), "pos": numbers(p), "quat": _quaternion(R)}
+            bodies.append(SubElement(above, "body", {**place, "gravcomp": "1"}))
+        for body, link, color in zip(bodies, hand.links, link_colors(hand), strict=True):
+            _add_inertial(body, link.mass, link.p_LLcm, link.I_LLcm)
+            for k, shape in enumerate(link.geometry):
+                name = f"{link.name}_{k}"
+                attributes = self._shape(shape, file_name(f"{hand.name}_{name}"))
+                SubElement(body, "geom", {"name": name, **attributes, "rgba": numbers(color)})
+        for body, joint in zip(bodies[1:], hand.joints, strict=True):
+            self._add_joint(body, joint)
+        for name, link, p, R in marked_frames(hand):
+            place = {"name": name, "pos": numbers(p), "quat": _quaternion(R), "size": "0.002"}
+            SubElement(bodies[hand.link_index[link]], "site", place)
+        for i, j in ignored_pairs(hand):
+            pair = {"body1": body_name(hand.links[i]), "body2": body_name(hand.links[j])}
+            SubElement(self.contact, "exclude", pair)
+        self._add_couplings_and_actuators(hand, plant)
+
+    def _add_joint(self, body: Element, joint: Joint) -> None:
+        upper = max(joint.upper, joint.lower + LEAST_RANGE)
+        attributes = {"name": joint.name, "axis": numbers(joint.axis), "range": numbers(np.array([joint.lower, upper]))}
+        if joint.kind == "prismatic":
+            attributes |= {"type": "slide", "armature": number(self.settings.slide_armature)}
+        SubElement(body, "joint", attributes)
+
+    def _add_couplings_and_actuators(self, hand: Hand, plant: PlantSettings) -> None:
+        solref, solimp = self.soft
+        for joint in hand.joints:
+            if joint.coupling is not None:
+                law = np.array([joint.coupling.offset, joint.coupling.multiplier, 0.0, 0.0, 0.0])
+                pair = {"joint1": joint.name, "joint2": joint.coupling.master, "polycoef": numbers(law)}
+                SubElement(self.equality, "joint", {**pair, "solref": solref, "solimp": solimp})
+                continue
+            # Targets beyond the limits press against an object; farther out than this they ask for more than effort.
+            reach = joint.effort / plant.kp
+            bounds = {
+                "forcerange": numbers(np.array([-joint.effort, joint.effort])),
+                "ctrlrange": numbers(np.array([joint.lower - reach, joint.upper + reach])),
+            }
+            SubElement(self.actuator, "position", {"name": joint.name, "class": "hand", "joint": joint.name, **bounds})
+
+    def add_mesh(self, name: str, text: str, *, inertia: str = "convex") -> str:
+        """Adds an OBJ file as a mesh; returns the mesh's name."""
+        self.meshes[f"{name}.obj"] = text
+        SubElement(self.asset, "mesh", {"name": name, "file": f"{name}.obj", "inertia": inertia})
+        return name
+
+    def _shape(self, shape: Geometry, mesh_name: str) -> dict[str, str]:
+        """A primitive as the attributes of a geom."""
+        if isinstance(shape, Box):
+            return {
+                "type": "box",
+                "size": numbers(0.5 * shape.size),
+                "pos": numbers(shape.p_LG),
+                "quat": _quaternion(shape.R_LG),
+            }
+        if isinstance(shape, Convex):
+            return {"type": "mesh", "mesh": self.add_mesh(mesh_name, hull_obj(shape.vertices))}
+        if isinstance(shape, Capsule) and float(np.linalg.norm(shape.p1 - shape.p0)) >= 1e-9:
+            ends = numbers(np.concatenate([shape.p0, shape.p1]))
+            return {"type": "capsule", "size": number(shape.radius), "fromto": ends}
+        center = shape.center if isinstance(shape, Sphere) else shape.p0
+        return {"type": "sphere", "size": number(shape.radius), "pos": numbers(center)}
+
+
+def _quaternion(R: Array) -> str:
+    """A rotation as w, x, y, z."""
+    return numbers(RotationMatrix(R).ToQuaternion().wxyz())
+
+
+def _add_inertial(body: Element, mass: float, p_BBcm: Array, I_BBcm: Array) -> None:
+    moments = I_BBcm[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    SubElement(body, "inertial", {"pos": numbers(p_BBcm), "mass": number(mass), "fullinertia": numbers(moments)})
