@@ -12,7 +12,7 @@ from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
+from xdex_drake.simulation.lift import lift, lift_rig, shared_rig, simulate_lift
 from xdex_drake.simulation.pregrasp import (
     CLEARANCE,
     RULE_CLOSING,
@@ -22,6 +22,8 @@ from xdex_drake.simulation.pregrasp import (
     straight_approach,
 )
 from xdex_drake.simulation.protocol import LIFT
+from xdex_drake.simulation.trajectory import target_rates, targets
+from xdex_drake.simulation.verdict import FAILURE_REASONS
 
 
 @pytest.fixture(scope="module")
@@ -140,9 +142,12 @@ def test_the_sources_play_the_targets(rig, grasps):
             played = source.get_output_port().Eval(source.GetMyContextFromRoot(context))
             np.testing.assert_allclose(played[: len(value)], value, atol=1e-12)
             # Rates are those of the targets while the hand closes; squeeze and rise are said to stand still.
-            ahead = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step) + 1e-6)[source is rig.carriage_source]
+            which = source is rig.carriage_source
+            ahead = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step) + 1e-6)[which]
             rate = (ahead - value) / 1e-6 if t < LIFT.close_s - 1e-6 else np.zeros(len(value))
             np.testing.assert_allclose(played[len(value) :], rate, atol=1e-4)
+            told = target_rates(grasps[0], LIFT, max(t, LIFT.plant.time_step))[which]
+            np.testing.assert_allclose(told, rate, atol=1e-4)
 
 
 def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, scene):

@@ -11,9 +11,11 @@ from xdex_drake.errors import ConfigError
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, simulate_lift, targets
+from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import BENCH_LIFT, FROGGER_LIFT, LIFT, PROTOCOLS, find_protocol, protocol_scene
 from xdex_drake.simulation.robust import RobustSettings, displaced, robust_lift
+from xdex_drake.simulation.trajectory import targets
+from xdex_drake.simulation.verdict import FAILURE_REASONS
 
 
 @pytest.fixture(scope="module")
