@@ -12,20 +12,25 @@ armature at every joint, which is what the contacts then feel. `docs/mujoco.md` 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
-from pydrake.math import RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.errors import ConfigError
+from xdex_drake.grasp import Grasp
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
 from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
-from xdex_drake.scene.plant import PlantSettings
+from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR, visual_obj
+from xdex_drake.scene.plant import CARRIAGE_MASS, CARRIAGE_RADIUS, PlantSettings
+from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.trajectory import targets
 
 LEAST_RANGE = 1e-6
 """Range of a joint whose limits are equal, which MuJoCo refuses [rad or m]."""
@@ -129,9 +134,77 @@ def hand_mjcf(hand: Hand, *, plant: PlantSettings | None = None, settings: MjcfS
     """
     plant = plant or PlantSettings()
     model = _Model(hand.name, settings)
-    wrist = SubElement(model.world, "body", {"name": unused("mount", hand), "childclass": "hand", "gravcomp": "1"})
-    model.add_hand(wrist, hand, plant)
+    mount = SubElement(model.world, "body", {"name": _unused("mount", hand)})
+    model.add_hand(mount, hand, plant)
     return model.finished()
+
+
+def scene_mjcf(
+    hand: Hand,
+    scene: Scene,
+    *,
+    protocol: LiftProtocol = LIFT,
+    grasp: Grasp | None = None,
+    settings: MjcfSettings = MJCF,
+) -> Mjcf:
+    """The scene of a lift as MJCF: a hand on its carriage, an object, a table.
+
+    The carriage's three slides along x, y and z of W come first among bodies, joints and actuators, then the body that
+    carries the wrist frame, then the hand as in `hand_mjcf`, last the object with its free joint. Masses, inertias and
+    gains are those of the Drake plant. The object collides by its convex parts and shows its mesh; every contact of it
+    has the friction that Drake makes of both surfaces', 2 mu_1 mu_2 / (mu_1 + mu_2). Without a grasp the wrist frame
+    stands in the world's.
+
+    Args:
+        hand: The hand.
+        scene: The object on its table.
+        protocol: The protocol whose gains, mass and friction hold.
+        grasp: A grasp with pre-grasp and squeeze: where the wrist stands, and the key frames `pregrasp`, `grasp` and
+            `squeeze`; the last one is the grasp with the squeeze's targets.
+        settings: MuJoCo's physics.
+
+    Returns:
+        The model.
+    """
+    scene, plant = protocol_scene(scene, protocol), protocol.plant
+    name = f"{hand.name}-{scene.object.name}" if grasp is None else grasp.grasp_id or f"{hand.name}-{scene.object.name}"
+    model = _Model(name, settings)
+    model.add_surroundings(scene, plant)
+    mount = model.add_carriage(hand, plant, RigidTransform() if grasp is None else grasp.X_WH)
+    model.add_hand(mount, hand, plant)
+    model.add_object(hand, scene, plant, scene.X_WO if grasp is None else grasp.X_WO)
+    if grasp is not None:
+        model.add_keyframes(hand, grasp, protocol)
+    return model.finished()
+
+
+def export_scenes(
+    grasps: Iterable[tuple[Grasp, Hand, Scene]], folder: str | Path, *, protocol: LiftProtocol = LIFT
+) -> list[Path]:
+    """Writes a scene for each grasp into a folder; see `scene_mjcf`.
+
+    Args:
+        grasps: Grasps with pre-grasp and squeeze, each with its hand and scene.
+        folder: The folder; made where it does not exist. Scenes share the meshes in its `meshes`.
+        protocol: The protocol whose gains, mass and friction hold.
+
+    Returns:
+        Paths of the MJCF files, in the order of the grasps.
+
+    Raises:
+        ConfigError: A grasp has no pre-grasp or no squeeze, two have the same identifier, or the folder cannot be
+            written.
+    """
+    files: dict[Path, None] = {}
+    for grasp, hand, scene in grasps:
+        name = grasp.grasp_id or f"{hand.name}-{scene.object.name}"
+        if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.q_squeeze is None:
+            raise ConfigError(f"grasp {name}: it has no pre-grasp or squeeze; make it with `xdex grasp`")
+        file = Path(folder) / f"{file_name(name)}.xml"
+        if file in files:
+            raise ConfigError(f"grasp {name}: another grasp has this identifier; export them to folders of their own")
+        files[scene_mjcf(hand, scene, protocol=protocol, grasp=grasp).write(file)] = None
+    return list(files)
 
 
 def body_name(link: Link) -> str:
@@ -139,9 +212,9 @@ def body_name(link: Link) -> str:
     return link.name if link.name != "world" else "world_link"
 
 
-def unused(name: str, hand: Hand) -> str:
-    """A name like the given one that no link of a hand has."""
-    taken = {body_name(link) for link in hand.links}
+def _unused(name: str, hand: Hand) -> str:
+    """A name like the given one that neither link nor joint of a hand has."""
+    taken = {body_name(link) for link in hand.links} | {joint.name for joint in hand.joints}
     while name in taken:
         name += "_"
     return name
@@ -190,8 +263,65 @@ class _Model:
         """The time constant with critical damping, and the impedance, as MuJoCo's `solref` and `solimp`."""
         return f"{number(self.settings.time_constant)} 1.0", numbers(np.array(self.settings.impedance))
 
-    def add_hand(self, wrist: Element, hand: Hand, plant: PlantSettings) -> None:
+    def add_surroundings(self, scene: Scene, plant: PlantSettings) -> None:
+        """Adds table, light, and what a viewer looks at."""
+        view = {"center": numbers(scene.X_WO @ scene.object.p_OOcm), "extent": "0.4"}
+        self.root.insert(2, Element("statistic", view))
+        SubElement(self.world, "light", {"pos": "0 0 2", "dir": "0 0 -1"})
+        solref, solimp = self.soft
+        table = {"name": "table", "type": "plane", "size": "1 1 0.1", "rgba": numbers(np.array(TABLE_COLOR))}
+        friction = {"condim": "3", "friction": number(plant.friction)}
+        SubElement(self.world, "geom", {**table, **friction, "solref": solref, "solimp": solimp})
+
+    def add_carriage(self, hand: Hand, plant: PlantSettings, X_WH: RigidTransform) -> Element:
+        """Adds the three driven slides that carry the wrist; returns the body whose frame is H."""
+        body = self.world
+        gains = {"kp": number(plant.carriage_kp), "kv": number(plant.carriage_kd)}
+        for letter, axis in zip("xyz", np.eye(3), strict=True):
+            name = _unused(f"carriage_{letter}", hand)
+            body = SubElement(body, "body", {"name": name, "gravcomp": "1"})
+            SubElement(body, "joint", {"name": name, "type": "slide", "axis": numbers(axis)})
+            _add_inertial(body, CARRIAGE_MASS, np.zeros(3), 0.4 * CARRIAGE_MASS * CARRIAGE_RADIUS**2 * np.eye(3))
+            SubElement(self.actuator, "position", {"name": name, "joint": name, **gains})
+        pose = {"pos": numbers(X_WH.translation()), "quat": _quaternion(X_WH.rotation().matrix())}
+        return SubElement(body, "body", {"name": _unused("mount", hand), **pose})
+
+    def add_object(self, hand: Hand, scene: Scene, plant: PlantSettings, X_WO: RigidTransform) -> None:
+        """Adds the object, free, at a pose."""
+        thing, name = scene.object, _unused("object", hand)
+        friction = 2.0 * plant.friction * thing.friction / max(plant.friction + thing.friction, 1e-12)
+        solref, solimp = self.soft
+        default = SubElement(self.defaults, "default", {"class": "object"})
+        # Where priorities differ, all of a contact's parameters are those of the greater one.
+        surface = {"type": "mesh", "condim": "3", "priority": "1", "friction": number(friction), "group": "3"}
+        SubElement(default, "geom", {**surface, "solref": solref, "solimp": solimp})
+        pose = {"pos": numbers(X_WO.translation()), "quat": _quaternion(X_WO.rotation().matrix())}
+        body = SubElement(self.world, "body", {"name": name, "childclass": "object", **pose})
+        _add_inertial(body, thing.mass, thing.p_OOcm, thing.I_OcmO)
+        SubElement(body, "freejoint", {"name": name})
+        label = file_name(f"{thing.name}-{thing.digest[:8]}")
+        for k, (vertices, _) in enumerate(thing.parts):
+            mesh = self.add_mesh(f"{label}_part_{k}", hull_obj(vertices))
+            SubElement(body, "geom", {"name": f"{name}_part_{k}", "mesh": mesh})
+        # Only to be seen: its volume, zero where the mesh is open, counts for nothing.
+        mesh = self.add_mesh(label, visual_obj(thing), inertia="shell")
+        looks = {"group": "2", "contype": "0", "conaffinity": "0", "rgba": numbers(np.array(OBJECT_COLOR))}
+        SubElement(body, "geom", {"name": f"{name}_mesh", "mesh": mesh, **looks})
+
+    def add_keyframes(self, hand: Hand, grasp: Grasp, protocol: LiftProtocol) -> None:
+        """Adds the begin of a lift and the ends of closing and squeezing."""
+        keyframe = SubElement(self.root, "keyframe")
+        pose = np.concatenate([grasp.X_WO.translation(), grasp.X_WO.rotation().ToQuaternion().wxyz()])
+        closed, ended = protocol.close_s, protocol.close_s + protocol.squeeze_s
+        for name, t, t_posture in (("pregrasp", 0.0, 0.0), ("grasp", closed, closed), ("squeeze", ended, closed)):
+            q, offset = targets(grasp, protocol, t)
+            posture = hand.q_full(targets(grasp, protocol, t_posture)[0])[depth_first(hand)]
+            qpos, ctrl = np.concatenate([offset, posture, pose]), np.concatenate([offset, q])
+            SubElement(keyframe, "key", {"name": name, "qpos": numbers(qpos), "ctrl": numbers(ctrl)})
+
+    def add_hand(self, mount: Element, hand: Hand, plant: PlantSettings) -> None:
         """Adds a hand below a body whose frame is H."""
+        mount.set("childclass", "hand")
         solref, solimp = self.soft
         default = SubElement(self.defaults, "default", {"class": "hand"})
         armature = {"armature": number(self.settings.armature), "damping": number(JOINT_DAMPING)}
@@ -203,7 +333,7 @@ class _Model:
         poses = [(hand.p_HB, hand.R_HB), *((joint.p_PJ, joint.R_PJ) for joint in hand.joints)]
         bodies: list[Element] = []
         for link, parent, (p, R) in zip(hand.links, hand.parents, poses, strict=True):
-            above = bodies[int(parent)] if bodies else wrist
+            above = bodies[int(parent)] if bodies else mount
             place = {"name": body_name(link), "pos": numbers(p), "quat": _quaternion(R)}
             bodies.append(SubElement(above, "body", {**place, "gravcomp": "1"}))
         for body, link, color in zip(bodies, hand.links, link_colors(hand), strict=True):
