@@ -14,6 +14,7 @@ class Unit:
     index: int
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
+    simulator: str = "drake"
 
 
 def lost(unit, failure):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -22,7 +23,8 @@ from xdex_drake.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from xdex_drake.grasp import Grasp
+    from xdex_drake.dataset.files import StoredGrasp
+    from xdex_drake.grasp import Grasp, Lift
 
 
 @dataclass(frozen=True)
@@ -244,10 +246,12 @@ class LiftCommand:
 
     Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
     succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
-    friction, and with twice the mass.
+    friction, and with twice the mass. `--simulator mujoco` plays the same protocol in MuJoCo, a second judge;
+    `--simulator drake --simulator mujoco` asks both and stores the verdicts of the first.
 
     Attributes:
         file: A file of grasps with pre-grasp and squeeze targets.
+        simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. May be given twice.
         protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
@@ -255,6 +259,7 @@ class LiftCommand:
     """
 
     file: tyro.conf.Positional[Path]
+    simulator: tyro.conf.UseAppendAction[tuple[Literal["drake", "mujoco"], ...]] = ()
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
     out: Path = Path("grasps_lifted.parquet")
@@ -269,6 +274,7 @@ class LiftCommand:
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.dataset.store import write_grasps
         from xdex_drake.errors import ConfigError
+        from xdex_drake.simulation.mujoco import mujoco_module
         from xdex_drake.simulation.protocol import find_protocol
 
         find_protocol(self.protocol)
@@ -280,6 +286,9 @@ class LiftCommand:
         unready = [item.grasp.grasp_id for item in stored if item.grasp.q_squeeze is None]
         if unready:
             raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
+        simulators = tuple(dict.fromkeys(self.simulator)) or ("drake",)
+        if "mujoco" in simulators:
+            mujoco_module()
         paths = hand_paths(self.file)
         units = [
             LiftUnit(
@@ -289,27 +298,42 @@ class LiftCommand:
                 paths.get(item.hand.name, item.hand.name),
                 protocol=self.protocol,
                 robust=self.robust,
+                simulator=simulator,
             )
+            for simulator in simulators
             for k, item in enumerate(stored)
         ]
         # Lifts of one hand and scene in a row, which share a plant.
-        units.sort(key=lambda unit: (unit.hand, unit.scene.scene_id))
-        rows = {}
-        tallies: dict[tuple[str, str], list] = {}
+        units.sort(key=lambda unit: (unit.hand, unit.scene.scene_id, simulators.index(unit.simulator)))
+        verdicts: dict[str, dict[int, Lift]] = {simulator: {} for simulator in simulators}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
             for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
-                row = stored[unit.index].row
-                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
-                tally[0] += 1
-                tally[1] += verdict.success
-                tally[2] += verdict.success == row["success"]
-                if not verdict.success:
-                    tally[3][verdict.failure_reason] = tally[3].get(verdict.failure_reason, 0) + 1
-                rows[unit.index] = {**row, **lift_columns(verdict)}
+                verdicts[unit.simulator][unit.index] = verdict
                 bar.update()
+        first = verdicts[simulators[0]]
+        rows = [stored[k].row | lift_columns(first[k]) for k in sorted(first)]
         if rows:
-            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(paths))
-        lines = [(*key, n, good, same, counts(failed)) for key, (n, good, same, failed) in tallies.items()]
-        print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
+            write_grasps(self.out, rows, metadata=hand_paths_entry(paths))
+        lines = [line for simulator in simulators for line in _lift_lines(stored, simulator, verdicts[simulator])]
+        header = ("hand", "object", "simulator", "grasps", "lifted", "as before", "failed by")
+        print(table(lines, header))
+        if len(simulators) > 1:
+            both = [k for k in sorted(first) if all(k in one for one in verdicts.values())]
+            same = sum(len({one[k].success for one in verdicts.values()}) == 1 for k in both)
+            print(f"{' and '.join(simulators)} agree on {same} of {len(both)}")
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
-        return interruption.status(0 if any(line[3] for line in lines) else 1)
+        return interruption.status(0 if any(line[4] for line in lines) else 1)
+
+
+def _lift_lines(stored: Sequence[StoredGrasp], simulator: str, verdicts: Mapping[int, Lift]) -> list[tuple]:
+    """A line for each hand and object: grasps, lifted ones, verdicts as before, failure reasons."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k in sorted(verdicts):
+        groups.setdefault((stored[k].row["hand"], stored[k].row["object"]), []).append(k)
+    lines = []
+    for (hand, thing), members in groups.items():
+        lifted = sum(verdicts[k].success for k in members)
+        same = sum(verdicts[k].success == stored[k].row["success"] for k in members)
+        failed = Counter(verdicts[k].failure_reason for k in members if not verdicts[k].success)
+        lines.append((hand, thing, simulator, len(members), lifted, same, counts(failed)))
+    return lines

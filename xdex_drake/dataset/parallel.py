@@ -6,6 +6,7 @@ numbered and their results are taken in that order, so that two workers find wha
 
 from __future__ import annotations
 
+import importlib
 import logging
 import math
 import time
@@ -32,6 +33,9 @@ _log = logging.getLogger(__name__)
 
 QUOTA = 10
 """Lifted grasps after which a batch is left: a smaller number loses less at Ctrl-C, a greater one searches less."""
+
+SIMULATORS = {"drake": "xdex_drake.simulation.lift", "mujoco": "xdex_drake.simulation.mujoco"}
+"""The module of each simulator's `lift`."""
 
 PATIENCE = 3
 """Batches in a row that may crash or run out of time before a run is given up."""
@@ -288,6 +292,7 @@ class LiftUnit:
         hand: Name or path of its hand.
         protocol: Name of the protocol.
         robust: Number of errors of pose under which it is repeated; 0 for one lift as it is.
+        simulator: One of `SIMULATORS`.
     """
 
     index: int
@@ -296,6 +301,7 @@ class LiftUnit:
     hand: str
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
+    simulator: str = "drake"
 
 
 def run_retarget(unit: RetargetUnit) -> Outcome:
@@ -335,15 +341,14 @@ def run_lift(unit: LiftUnit) -> Lift:
     Returns:
         The verdict.
     """
-    from xdex_drake.simulation.lift import lift
     from xdex_drake.simulation.protocol import find_protocol
     from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
     hand, scene, protocol = _hand(unit.hand), _scene(unit.scene), find_protocol(unit.protocol)
+    lift = importlib.import_module(SIMULATORS[unit.simulator]).lift
     if unit.robust:
-        return robust_lift(
-            unit.grasp, hand, scene, protocol=protocol, settings=RobustSettings(repeats=unit.robust)
-        ).lift
+        settings = RobustSettings(repeats=unit.robust)
+        return robust_lift(unit.grasp, hand, scene, protocol=protocol, settings=settings, lift=lift).lift
     return lift(unit.grasp, hand, scene, protocol=protocol)
 
 
@@ -358,7 +363,8 @@ def lost_lift(unit: LiftUnit, failure: str) -> Lift:
         The verdict.
     """
     reason = "timeout" if failure.startswith("timeout") else "simulation_failed"
-    name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
+    name = unit.protocol if unit.simulator == "drake" else f"{unit.simulator}:{unit.protocol}"
+    name = f"robust:{name}" if unit.robust else name
     return Lift(name, False, reason, float("nan"), (), 0.0)
 
 
