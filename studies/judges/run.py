@@ -19,6 +19,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
@@ -83,7 +84,8 @@ SETTINGS: dict[str, tuple[MjcfSettings, Callable[[mujoco.MujocoRig], None]]] = {
     "mujoco, own contacts, no armature": (replace(SOFT, armature=0.0, slide_armature=0.0), bare),
 }
 
-JUDGES = ("drake", "drake, half step", "mujoco", "mujoco, half step")
+HALVED = ("drake, half step", "mujoco, half step")
+OTHERS = tuple(name for name in SETTINGS if name not in ("mujoco", *HALVED))
 
 
 def make(folder: Path, hands: list[str], objects: list[str], count: int) -> None:
@@ -171,11 +173,18 @@ def in_drake(case: Case, step: float) -> tuple[Lift, float, float]:
     return verdict, depth, force
 
 
+@lru_cache(maxsize=2 * len(SETTINGS))
+def mujoco_rig(hand: Hand, scene: Scene, protocol: LiftProtocol, setting: str) -> mujoco.MujocoRig:
+    """A rig of one of the settings; hands and scenes are told apart by identity."""
+    settings, change = SETTINGS[setting]
+    rig = mujoco.mujoco_rig(hand, scene, protocol=protocol, settings=settings)
+    change(rig)
+    return rig
+
+
 def in_mujoco(case: Case, setting: str) -> tuple[Lift, float, float]:
     """The same in MuJoCo."""
-    settings, change = SETTINGS[setting]
-    rig = mujoco.mujoco_rig(case.hand, case.scene, protocol=case.protocol, settings=settings)
-    change(rig)
+    rig = mujoco_rig(case.hand, case.scene, case.protocol, setting)
     verdict = mujoco.simulate_lift(rig, case.grasp)
     depth, force, one = 0.0, 0.0, np.zeros(6)
     for k in range(rig.data.ncon):
@@ -186,34 +195,47 @@ def in_mujoco(case: Case, setting: str) -> tuple[Lift, float, float]:
     return verdict, depth, force
 
 
-def judge(folder: Path, out: Path) -> None:
-    """Lifts every grasp by all judges and appends a row for each lift."""
+def play(case: Case, judge: str) -> tuple[Lift, float, float]:
+    """The verdict of any judge."""
+    if judge.startswith("drake"):
+        return in_drake(case, LIFT.plant.time_step * (0.5 if judge.endswith("half step") else 1.0))
+    return in_mujoco(case, judge)
+
+
+def judge(folder: Path, out: Path, count: int) -> None:
+    """Lifts grasps by all judges and appends a row for each lift; objects in the order in which they were made."""
     done = {tuple(row.values())[:3] for row in csv.DictReader(out.open())} if out.exists() else set()
     with out.open("a", newline="") as file:
         writer = csv.writer(file)
         if not done:
             writer.writerow(COLUMNS)
-        for path in sorted(folder.glob("*.parquet")):
-            for item in load_grasps(path):
+        for path in sorted(folder.glob("*.parquet"), key=lambda path: path.stat().st_mtime):
+            for item in load_grasps(path)[:count]:
                 key = (item.hand.name, item.scene.object.name, item.grasp.grasp_id)
                 if key in done:
                     continue
                 number = int(hashlib.sha256(item.grasp.grasp_id.encode()).hexdigest()[:8], 16)
                 promised = sum(contact.f_C[2] for contact in item.grasp.certificate.contacts)
                 for case in cases(item.grasp, item.hand, item.scene, number):
-                    judges = {"drake": lambda case=case: in_drake(case, LIFT.plant.time_step)}
-                    judges |= {"drake, half step": lambda case=case: in_drake(case, 0.5 * LIFT.plant.time_step)}
-                    judges |= {name: lambda case=case, name=name: in_mujoco(case, name) for name in SETTINGS}
-                    for simulator, play in judges.items():
-                        if case.spoiled and simulator not in JUDGES:
-                            continue
-                        begin = time.process_time()
-                        lift, depth, force = play()
-                        numbers = (lift.lift_height_m, 1e3 * depth, force / promised, time.process_time() - begin)
-                        row = (*key, case.spoiled, simulator, int(lift.success), lift.failure_reason)
-                        writer.writerow((*row, *(f"{value:.4f}" for value in numbers)))
+                    for row in judged(case, promised):
+                        writer.writerow((*key, case.spoiled, *row))
                 done.add(key)
                 file.flush()
+
+
+def judged(case: Case, promised: float) -> Iterator[tuple]:
+    """What each judge says of a case; half the steps are asked where Drake and MuJoCo do not agree."""
+    verdicts = {}
+    names = ["drake", "mujoco", *(() if case.spoiled else OTHERS)]
+    while names:
+        name = names.pop(0)
+        begin = time.process_time()
+        lift, depth, force = play(case, name)
+        numbers = (lift.lift_height_m, 1e3 * depth, force / promised, time.process_time() - begin)
+        yield (name, int(lift.success), lift.failure_reason, *(f"{value:.4f}" for value in numbers))
+        verdicts[name] = lift.success
+        if name == "mujoco" and verdicts["drake"] != verdicts["mujoco"]:
+            names += HALVED
 
 
 def kappa(pairs: list[tuple[bool, bool]]) -> float:
@@ -226,9 +248,8 @@ def kappa(pairs: list[tuple[bool, bool]]) -> float:
 def rates(pairs: list[tuple[bool, bool]]) -> str:
     """Both judges' lifts, what the second keeps of the first's, agreement and kappa, as cells of a table."""
     a, b = np.array(pairs, dtype=bool).reshape(-1, 2).T
-    return (
-        f"{len(a)} | {a.mean():.1%} | {b.mean():.1%} | {b[a].mean():.1%} | {np.mean(a == b):.1%} | {kappa(pairs):.2f}"
-    )
+    kept = b[a].mean() if a.any() else float("nan")
+    return f"{len(a)} | {a.mean():.1%} | {b.mean():.1%} | {kept:.1%} | {np.mean(a == b):.1%} | {kappa(pairs):.2f}"
 
 
 def summarize(path: Path) -> None:
@@ -257,11 +278,13 @@ def summarize(path: Path) -> None:
         "\n| judge | lifts | of Drake's lifts | verdict as Drake | deepest contact [mm] | force / promised | CPU [s] |"
     )
     print("|---|---|---|---|---|---|---|")
-    for judge in dict.fromkeys(name for judges in lifts.values() for name in judges):
+    for judge in ("drake", "mujoco", *OTHERS):
         rows = [(judges[judge], both[key][0]) for key, judges in lifts.items() if not key[3]]
         won, ours = np.array([row["success"] == "1" for row, _ in rows]), np.array([one for _, one in rows])
         held = [row for row, _ in rows if row["success"] == "1"]
         depth, force = (np.array([float(row[name]) for row in held]) for name in ("depth_mm", "force"))
+        if not held:
+            depth = force = np.full(1, np.nan)
         cpu = np.mean([float(row["cpu_s"]) for row, _ in rows])
         print(
             f"| {judge} | {won.mean():.1%} | {won[ours].mean():.1%} | {np.mean(won == ours):.1%} "
@@ -272,7 +295,8 @@ def summarize(path: Path) -> None:
     print("|---|---|---|---|---|---|---|---|")
     for key, judges in lifts.items():
         if both[key][0] != both[key][1]:
-            told = " | ".join(judges[name]["reason"] or "lifted" for name in JUDGES)
+            names = ("drake", "drake, half step", "mujoco", "mujoco, half step")
+            told = " | ".join(judges[name]["reason"] or "lifted" for name in names)
             print(f"| {key[0]} | {key[1]} | {key[2].removeprefix(f'{key[0]}-{key[1]}-')} | {key[3]} | {told} |")
 
 
@@ -294,7 +318,7 @@ def main() -> None:
             objects = [str(options.meshes / entry["file"]) for entry in index]
         make(options.path, options.hands, objects[: options.objects], options.count)
     elif options.step == "judge":
-        judge(options.path, options.out)
+        judge(options.path, options.out, options.count)
     else:
         summarize(options.path)
 

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
 from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.hand.library import load_hand
-from xdex_drake.interchange.mjcf import export_scenes, scene_mjcf
+from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, export_scenes, scene_mjcf
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation import lift as drake
@@ -67,6 +67,30 @@ def test_forces_are_the_certificates(rig, grasps):
                 mujoco.mj_contactForce(rig.model, rig.data, k, force)
                 normal += force[0]
         assert normal == pytest.approx(sum(contact.f_C[2] for contact in grasp.certificate.contacts), rel=0.08)
+
+
+def test_contacts_sink_by_the_closed_form(hand, scene, grasps):
+    """r = (1 - d) tau^2 f / m: millimetres at MuJoCo's own contacts without armature, hundredths of one as exported."""
+    soft = MjcfSettings(time_constant=0.02, impedance=(0.9, 0.95, 0.001), armature=0.0)
+    for settings, least, most in ((soft, 1e-3, 2e-2), (MJCF, 1e-6, 1e-4)):
+        rig = mujoco_rig(hand, scene, settings=settings, protocol=replace(LIFT, rise_m=0.0))
+        deepest = 0.0
+        for grasp in grasps[:3]:
+            rig.start(grasp)
+            rig.advance_to(LIFT.duration_s)
+            rig.restore(rig.state())
+            for k in range(rig.data.ncon):
+                contact, force = rig.data.contact[k], np.zeros(6)
+                bodies = [int(rig.model.geom_bodyid[geom]) for geom in contact.geom]
+                if rig.object_body not in bodies or 0 in bodies or abs(rig.data.efc_vel[contact.efc_address]) > 3e-5:
+                    continue
+                mujoco.mj_contactForce(rig.model, rig.data, k, force)
+                one_over_m = sum(rig.model.body_invweight0[body, 0] for body in bodies)
+                d = rig.data.efc_KBIP[contact.efc_address, 2]
+                sunk = (1.0 - d) * (settings.impedance[1] / d) ** 2 * settings.time_constant**2 * force[0] * one_over_m
+                assert -contact.dist == pytest.approx(sunk, rel=0.1)
+                deepest = max(deepest, sunk)
+        assert least < deepest < most
 
 
 def test_couplings_hold_under_load(rig, grasps, hand):

@@ -1,13 +1,10 @@
 """Writes hands and scenes as MJCF, the format of MuJoCo, with all that MuJoCo needs to play them as they are.
 
 MuJoCo's defaults are not those of a light hand. A contact there is as soft as the bodies that meet are light: pressed
-with a force f it sinks by
-
-    r = f (1 - d) / d / (m k),    k = 1 / (d tau)^2,
-
-with d the impedance of `solimp`, tau the time constant of `solref` and m the inertia that the contact feels. So an
-exported model sets the time constant and the impedance of every contact and, as hands with geared motors have it, an
-armature at every joint, which is what the contacts then feel. `docs/mujoco.md` gives the numbers, measured.
+with a force f it sinks by (1 - d) tau^2 f / m, with d the greatest impedance of `solimp`, tau the time constant of
+`solref`, and 1 / m the sum of what MuJoCo takes for the inverse masses of both sides. So an exported model sets time
+constant and impedance of every contact and, as hands with geared motors have it, an armature at every joint, which is
+most of what a fingertip weighs then. `docs/mujoco.md` gives the numbers, measured.
 """
 
 from __future__ import annotations

@@ -48,12 +48,13 @@ def hull_obj(vertices: Array) -> str:
         The file's text.
     """
     hull = ConvexHull(vertices)
-    index = {int(k): i + 1 for i, k in enumerate(hull.vertices)}
-    lines = [f"v {numbers(vertices[k])}" for k in hull.vertices]
     normals = hull.equations[:, :3]
+    a, b, c = vertices[hull.simplices].transpose(1, 0, 2)
+    inward = np.einsum("nk,nk->n", np.cross(b - a, c - a), normals) <= 0.0
+    corners = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    index = np.zeros(len(vertices), dtype=int)
+    index[hull.vertices] = np.arange(1, len(hull.vertices) + 1)
+    lines = [f"v {numbers(p)}" for p in vertices[hull.vertices]]
     lines += [f"vn {numbers(n)}" for n in normals]
-    for k, corners in enumerate(hull.simplices):
-        a, b, c = vertices[corners]
-        ordered = corners if np.cross(b - a, c - a) @ normals[k] > 0.0 else corners[::-1]
-        lines.append("f " + " ".join(f"{index[int(corner)]}//{k + 1}" for corner in ordered))
+    lines += [f"f {i}//{k} {j}//{k} {m}//{k}" for k, (i, j, m) in enumerate(index[corners].tolist(), start=1)]
     return "\n".join(lines) + "\n"
