@@ -27,7 +27,6 @@ from .hand.batched_kinematics import PaddedHands as PaddedHands
 from .hand.checks import check_hand as check_hand
 from .hand.description import Capsule as Capsule
 from .hand.description import Hand as Hand
-from .hand.export import export_urdf as export_urdf
 from .hand.generation import generated_hand as generated_hand
 from .hand.human import human_hand as human_hand
 from .hand.human import sample_shape as sample_shape
@@ -47,6 +46,8 @@ from .hand.variation import (
 from .hand.variation import (
     scale_hand as scale_hand,
 )
+from .interchange.mjcf import export_mjcf as export_mjcf
+from .interchange.urdf import export_urdf as export_urdf
 from .problems.files import list_problems as list_problems
 from .problems.files import load_problem as load_problem
 from .problems.solve import solve_problem as solve_problem

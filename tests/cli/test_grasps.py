@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from xdex_drake.cli import main
@@ -53,6 +54,29 @@ def test_export_is_plain_json(grasps, tmp_path):
     content = json.loads(out.read_text())
     assert len(content["grasps"]) == 2 and content["columns"]["mass_kg"]["unit"] == "kg"
     assert content["grasps"][0]["q"] == read_grasps(grasps)[0]["q"]
+
+
+def test_two_simulators_judge_the_same_grasps(grasps, tmp_path, capsys):
+    pytest.importorskip("mujoco", reason="mujoco is not installed")
+    out = tmp_path / "judged.parquet"
+    words = ["lift", str(grasps), "--simulator", "mujoco", "--simulator", "drake", "--out", str(out), "--workers", "1"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "mujoco and drake agree on" in said and said.count("allegro") == 2
+    assert {row["protocol"] for row in read_grasps(out)} == {"mujoco:lift-0.2/2tips"}
+    assert main(["lift", str(grasps), "--simulator", "bullet"]) == 2
+
+
+def test_export_to_mujoco_is_a_scene_for_each_grasp(grasps, tmp_path, capsys):
+    assert main(["export", str(grasps), "--format", "mujoco", "--out", str(tmp_path / "scenes")]) == 0
+    files = sorted((tmp_path / "scenes").glob("*.xml"))
+    assert len(files) == 2
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    for file, item in zip(files, load_grasps(grasps), strict=True):
+        model = mujoco.MjModel.from_xml_path(str(file))
+        np.testing.assert_allclose(model.key("grasp").ctrl[3:], item.grasp.q)
+        target = item.grasp.q + item.grasp.tau_squeeze / item.row["gains"]["kp"]
+        np.testing.assert_allclose(model.key("squeeze").ctrl[3:], target)
 
 
 def test_retargeted_grasps_name_their_source(grasps, tmp_path, capsys):

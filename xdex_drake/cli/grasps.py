@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -23,7 +23,7 @@ from xdex_drake.cli.output import (
 
 if TYPE_CHECKING:
     from xdex_drake.dataset.files import StoredGrasp
-    from xdex_drake.grasp import Grasp
+    from xdex_drake.grasp import Grasp, Lift
 
 
 @dataclass(frozen=True)
@@ -229,10 +229,12 @@ class LiftCommand:
     Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
     succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
     friction, and with twice the mass. With `--protocol hold` the lifted object is held for two seconds and
-    pushed by its weight from six sides.
+    pushed by its weight from six sides. `--simulator mujoco` plays the same protocol in MuJoCo, a second judge;
+    `--simulator drake --simulator mujoco` asks both and stores the verdicts of the first.
 
     Attributes:
-        file: A file of grasps with pre-grasp and squeeze targets.
+        file: A file of grasps with pre-grasp and squeeze.
+        simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. May be given twice.
         protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
@@ -240,6 +242,7 @@ class LiftCommand:
     """
 
     file: tyro.conf.Positional[Path]
+    simulator: tyro.conf.UseAppendAction[tuple[Literal["drake", "mujoco"], ...]] = ()
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
     out: Path = Path("grasps_lifted.parquet")
@@ -253,8 +256,8 @@ class LiftCommand:
         from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.errors import ConfigError
-        from xdex_drake.grasping.tally import Tally, counted
         from xdex_drake.jobs.stored import lift_all, lift_units
+        from xdex_drake.simulation.mujoco import mujoco_module
         from xdex_drake.simulation.protocol import find_protocol
 
         protocol = find_protocol(self.protocol)
@@ -264,27 +267,46 @@ class LiftCommand:
         unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:
             raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze; make it with `xdex grasp`")
-        units = lift_units(stored, protocol=self.protocol, robust=self.robust)
-        rows = {}
-        tallies: dict[tuple[str, str], Tally] = {}
-        same: Counter[tuple[str, str]] = Counter()
+        simulators = tuple(dict.fromkeys(self.simulator)) or ("drake",)
+        if "mujoco" in simulators:
+            mujoco_module()
+        units = lift_units(stored, protocol=self.protocol, robust=self.robust, simulators=simulators)
+        verdicts: dict[str, dict[int, Lift]] = {simulator: {} for simulator in simulators}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
             for unit, verdict in lift_all(units, workers=max(1, self.workers)):
-                row = stored[unit.index].row
-                key = (row["hand"], row["object"])
-                tallies.setdefault(key, Tally()).add_lift(verdict)
-                same[key] += verdict.success == row["success"]
-                rows[unit.index] = {**row, **lift_columns(verdict)}
+                verdicts[unit.simulator][unit.index] = verdict
                 bar.update()
+        first = verdicts[simulators[0]]
+        rows = [stored[k].row | lift_columns(first[k]) for k in sorted(first)]
         if rows:
-            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(hand_paths(self.file)))
-        lines = [(*key, t.simulated, t.lifted, t.held, same[key], counted(t.failed)) for key, t in tallies.items()]
-        header = ("hand", "object", "grasps", "lifted", "held", "as before", "failed by")
+            write_grasps(self.out, rows, metadata=hand_paths_entry(hand_paths(self.file)))
+        lines = [line for simulator in simulators for line in _lift_lines(stored, simulator, verdicts[simulator])]
+        header = ("hand", "object", "simulator", "grasps", "lifted", "held", "as before", "failed by")
         if protocol.hold is None:  # Nothing is held then but what is lifted.
-            lines, header = [(*line[:4], *line[5:]) for line in lines], (*header[:4], *header[5:])
+            lines, header = [(*line[:5], *line[6:]) for line in lines], (*header[:5], *header[6:])
         print(table(lines, header))
+        if len(simulators) > 1:
+            both = [k for k in sorted(first) if all(k in one for one in verdicts.values())]
+            same = sum(len({one[k].passed for one in verdicts.values()}) == 1 for k in both)
+            print(f"{' and '.join(simulators)} agree on {same} of {len(both)}")
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
-        return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
+        return interruption.status(0 if any(lift.success for lift in first.values()) else 1)
+
+
+def _lift_lines(stored: Sequence[StoredGrasp], simulator: str, verdicts: Mapping[int, Lift]) -> list[tuple]:
+    """A line for each hand and object: grasps, lifted and held ones, verdicts as before, failure reasons."""
+    from xdex_drake.grasping.tally import Tally, counted
+
+    tallies: dict[tuple[str, str], Tally] = {}
+    same: Counter[tuple[str, str]] = Counter()
+    for k in sorted(verdicts):
+        row = stored[k].row
+        key = (row["hand"], row["object"])
+        tallies.setdefault(key, Tally()).add_lift(verdicts[k])
+        same[key] += verdicts[k].success == row["success"]
+    return [
+        (*key, simulator, t.simulated, t.lifted, t.held, same[key], counted(t.failed)) for key, t in tallies.items()
+    ]
 
 
 def _grasps_of(file: Path) -> list[StoredGrasp]:

@@ -227,27 +227,33 @@ def _millimetres(p: Array) -> str:
 
 @dataclass(frozen=True)
 class HandExport:
-    """Writes a hand as a URDF file with OBJ meshes, which MuJoCo, Pinocchio, yourdfpy, Drake and others open.
+    """Writes a hand as a URDF or MJCF file with OBJ meshes, for other tools.
 
-    Joint names, limits, efforts, couplings (mimic) and inertias are the hand's own. The empty link `wrist` marks the
-    wrist frame, to which grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
-    Try `xdex hand export allegro --out allegro_urdf`.
+    URDF is what Pinocchio, yourdfpy, Drake and others open; MJCF is for MuJoCo, with position actuators of the lifts'
+    gains, contacts and armature set, ready for `python -m mujoco.viewer --mjcf=FILE`. Joint names, limits, efforts,
+    couplings and inertias are the hand's own. The empty link (in MJCF: site) `wrist` marks the wrist frame, to which
+    grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
+    Try `xdex hand export allegro --format mjcf --out allegro_mjcf`.
 
     Attributes:
         hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
-        out: Folder for NAME.urdf and meshes/; NAME_urdf in this folder where not given.
+        format: The format.
+        out: Folder for the file and meshes/; NAME_FORMAT in this folder where not given.
     """
 
     hand: tyro.conf.Positional[HandName]
+    format: Literal["urdf", "mjcf"] = "urdf"
     out: Path | None = None
 
     def run(self) -> int:
         """Writes the files."""
-        from xdex_drake.hand.export import export_urdf
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.interchange.mjcf import export_mjcf
+        from xdex_drake.interchange.urdf import export_urdf
 
         hand = load_hand(self.hand)
-        print(f"{hand.name}: {export_urdf(hand, self.out or Path(f'{hand.name}_urdf'))}")
+        export = {"urdf": export_urdf, "mjcf": export_mjcf}[self.format]
+        print(f"{hand.name}: {export(hand, self.out or Path(f'{hand.name}_{self.format}'))}")
         return 0
 
 

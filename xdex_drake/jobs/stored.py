@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from xdex_drake.grasping.finish import Outcome
 
 _log = logging.getLogger(__name__)
+
+SIMULATORS = {"drake": "xdex_drake.simulation.lift", "mujoco": "xdex_drake.simulation.mujoco"}
+"""The module of each simulator's `lift`."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class LiftUnit:
         hand: Name or path of its hand.
         protocol: Name of the protocol.
         robust: Number of errors of pose under which it is repeated; 0 for one lift as it is.
+        simulator: One of `SIMULATORS`.
     """
 
     index: int
@@ -58,6 +63,7 @@ class LiftUnit:
     hand: str
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
+    simulator: str = "drake"
 
 
 def retarget_units(stored: Sequence[StoredGrasp], targets: Sequence[str]) -> list[RetargetUnit]:
@@ -94,19 +100,30 @@ def retarget_all(units: Sequence[RetargetUnit], *, workers: int = 2) -> Iterator
             yield done.unit, done.value
 
 
-def lift_units(stored: Sequence[StoredGrasp], *, protocol: str = "lift-0.2/2tips", robust: int = 0) -> list[LiftUnit]:
-    """Every grasp once, those of one hand and scene in a row, so that they share a rig.
+def lift_units(
+    stored: Sequence[StoredGrasp],
+    *,
+    protocol: str = "lift-0.2/2tips",
+    robust: int = 0,
+    simulators: Sequence[str] = ("drake",),
+) -> list[LiftUnit]:
+    """Every grasp once for each simulator, those of one hand and scene in a row, so that they share a rig.
 
     Args:
         stored: Grasps of a file.
         protocol: Name of the protocol.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
+        simulators: Names of `SIMULATORS`.
 
     Returns:
         The units; their index is the grasp's place in `stored`.
     """
-    units = [LiftUnit(k, item.grasp, item.facts, item.hand_path, protocol, robust) for k, item in enumerate(stored)]
-    return sorted(units, key=lambda unit: (unit.hand, unit.scene.scene_id))
+    units = [
+        LiftUnit(k, item.grasp, item.facts, item.hand_path, protocol, robust, simulator)
+        for simulator in simulators
+        for k, item in enumerate(stored)
+    ]
+    return sorted(units, key=lambda unit: (unit.hand, unit.scene.scene_id, simulators.index(unit.simulator)))
 
 
 def lift_all(units: Sequence[LiftUnit], *, workers: int = 2) -> Iterator[tuple[LiftUnit, Lift]]:
@@ -157,15 +174,14 @@ def run_lift(unit: LiftUnit) -> Lift:
     Returns:
         The verdict.
     """
-    from xdex_drake.simulation.lift import lift
     from xdex_drake.simulation.protocol import find_protocol
     from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
     hand, scene, protocol = hand_of(unit.hand), scene_of(unit.scene), find_protocol(unit.protocol)
+    lift = importlib.import_module(SIMULATORS[unit.simulator]).lift
     if unit.robust:
-        return robust_lift(
-            unit.grasp, hand, scene, protocol=protocol, settings=RobustSettings(repeats=unit.robust)
-        ).lift
+        settings = RobustSettings(repeats=unit.robust)
+        return robust_lift(unit.grasp, hand, scene, protocol=protocol, settings=settings, lift=lift).lift
     return lift(unit.grasp, hand, scene, protocol=protocol)
 
 
@@ -183,6 +199,7 @@ def lost_lift(unit: LiftUnit, failure: Failure) -> Lift:
     from xdex_drake.simulation.protocol import find_protocol
 
     reason = "timeout" if failure.kind is FailureKind.TIMEOUT else "simulation_failed"
-    name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
+    name = unit.protocol if unit.simulator == "drake" else f"{unit.simulator}:{unit.protocol}"
+    name = f"robust:{name}" if unit.robust else name
     hold = None if find_protocol(unit.protocol).hold is None else NOT_LIFTED
     return Lift(name, False, reason, float("nan"), (), 0.0, hold)

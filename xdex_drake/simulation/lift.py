@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,15 +19,12 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from xdex_drake.grasp import Array, Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.shared import shared
 from xdex_drake.simulation.trajectory import retreat, squeezed, targets
 from xdex_drake.simulation.verdict import Touch, play_lift
-
-RIGS = 4
-"""How many rigs `shared_rig` keeps; one takes a few megabytes."""
 
 
 @dataclass(frozen=True)
@@ -169,31 +164,6 @@ def lift_rig(
     return LiftRig(protocol, bench, Simulator(bench.diagram), *sources)
 
 
-_rigs: OrderedDict[tuple[str, str, float, float, bytes, LiftProtocol], LiftRig] = OrderedDict()
-
-
-@lru_cache(maxsize=RIGS)
-def _digest_by_identity(identity: _Identity) -> str:
-    return hand_digest(identity.hand)
-
-
-@dataclass(frozen=True, eq=False)
-class _Identity:
-    """A hand that is compared by identity: its digest takes as long as a tenth of a lift."""
-
-    hand: Hand
-
-    def __hash__(self) -> int:
-        return id(self.hand)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identity) and other.hand is self.hand
-
-
-def _digest(hand: Hand) -> str:
-    return _digest_by_identity(_Identity(hand))
-
-
 def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
     """The rig of a hand and a scene, built once and kept; verdicts are the same as on a new one, to the last bit.
 
@@ -203,15 +173,9 @@ def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Li
         protocol: The protocol.
 
     Returns:
-        A rig of this process; at most `RIGS` are kept, those that were used last. Not for use by several threads.
+        A rig of this process; the last few are kept. Not for use by several threads.
     """
-    model = scene.object
-    key = (_digest(hand), model.digest, model.mass, model.friction, scene.X_WO.GetAsMatrix34().tobytes(), protocol)
-    rig = _rigs.pop(key, None) or lift_rig(hand, scene, protocol=protocol)
-    _rigs[key] = rig
-    while len(_rigs) > RIGS:
-        _rigs.popitem(last=False)
-    return rig
+    return shared(lambda: lift_rig(hand, scene, protocol=protocol), "drake", hand, scene, protocol)
 
 
 def _sort_touches(bench: ScenePlant, pairs: Iterable[tuple[BodyIndex, BodyIndex]]) -> Touch:

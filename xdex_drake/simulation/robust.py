@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,7 +65,13 @@ class RobustLift:
 
 
 def robust_lift(
-    grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, settings: RobustSettings = ROBUST
+    grasp: Grasp,
+    hand: Hand,
+    scene: Scene,
+    *,
+    protocol: LiftProtocol = LIFT,
+    settings: RobustSettings = ROBUST,
+    lift: Callable[..., Lift] = lift,
 ) -> RobustLift:
     """Repeats a lift under errors of pose, with less friction, and with more mass.
 
@@ -74,6 +81,7 @@ def robust_lift(
         scene: Its scene.
         protocol: The protocol of each repeat.
         settings: The errors.
+        lift: Plays one lift: that of Drake, or `simulation.mujoco.lift`.
 
     Returns:
         The verdicts.
@@ -97,7 +105,7 @@ def robust_lift(
     every = (*poses, slippery, heavy)
     failed = [one for one in every if not one.success] or [one for one in every if not one.passed]
     first = failed[0] if failed else min(every, key=lambda one: one.lift_height_m)
-    verdict = replace(first, protocol=f"robust:{protocol.name}", seconds=sum(one.seconds for one in every))
+    verdict = replace(first, protocol=f"robust:{first.protocol}", seconds=sum(one.seconds for one in every))
     return RobustLift(verdict, poses, slippery, heavy)
 
 

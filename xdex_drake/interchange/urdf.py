@@ -4,11 +4,11 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Array, Box, Convex, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
 
 VELOCITY = 10.0
 """Velocity limit that is written for every joint [rad/s or m/s]: the format demands one, and a hand states none."""
@@ -43,7 +43,7 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
         _add_link(robot, link, meshes)
     for joint in hand.joints:
         _add_joint(robot, joint)
-    for name, link, p, R in _marks(hand):
+    for name, link, p, R in marked_frames(hand):
         SubElement(robot, "link", {"name": name})
         fixed = SubElement(robot, "joint", {"name": f"{name}_fixed", "type": "fixed"})
         _add_origin(fixed, p, R)
@@ -64,15 +64,6 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
     return file
 
 
-def _marks(hand: Hand) -> list[tuple[str, str, Array, Array]]:
-    """Name, parent link and pose of the frames that mark wrist and tips; none takes the name of a link."""
-    taken = {link.name for link in hand.links}
-    R_BH = hand.R_HB.T
-    marks = [("wrist", hand.links[0].name, -R_BH @ hand.p_HB, R_BH)]
-    marks += [(f"{f.name}_tip", f.tip_link, f.p_LTip, np.eye(3)) for f in hand.fingers]
-    return [(name if name not in taken else f"{name}_frame", link, p, R) for name, link, p, R in marks]
-
-
 def rpy_of(R: Array) -> Array:
     """Fixed-axis angles (roll, pitch, yaw) with R = Rz Ry Rx [rad], shape (3,); exact also at a pitch of 90 degrees."""
     yaw = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[0, 0], R[1, 0]) > 1e-12 else 0.0
@@ -82,27 +73,19 @@ def rpy_of(R: Array) -> Array:
     return np.array([np.arctan2(-Q[1, 2], Q[1, 1]), np.arctan2(-Q[2, 0], Q[0, 0]), yaw])
 
 
-def _numbers(values: Array) -> str:
-    return " ".join(_number(value) for value in np.asarray(values).tolist())
-
-
-def _number(value: float) -> str:
-    return repr(float(value) + 0.0)
-
-
 def _add_origin(parent: Element, p: Array, R: Array | None = None) -> None:
-    origin = SubElement(parent, "origin", {"xyz": _numbers(p)})
+    origin = SubElement(parent, "origin", {"xyz": numbers(p)})
     if R is not None:
-        origin.set("rpy", _numbers(rpy_of(R)))
+        origin.set("rpy", numbers(rpy_of(R)))
 
 
 def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
     element = SubElement(robot, "link", {"name": link.name})
     inertial = SubElement(element, "inertial")
     _add_origin(inertial, link.p_LLcm)
-    SubElement(inertial, "mass", {"value": _number(link.mass)})
+    SubElement(inertial, "mass", {"value": number(link.mass)})
     moments = {
-        f"i{row}{column}": _number(link.I_LLcm[k, m])
+        f"i{row}{column}": number(link.I_LLcm[k, m])
         for k, row in enumerate("xyz")
         for m, column in enumerate("xyz")
         if k <= m
@@ -111,8 +94,8 @@ def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
     parts = [part for shape in link.geometry for part in _simple_parts(shape)]
     for k, (kind, attributes, p, R) in enumerate(parts):
         if isinstance(attributes, Convex):
-            name = f"{_file_name(link.name)}_{k}.obj"
-            meshes[name] = _obj_text(attributes.vertices)
+            name = f"{file_name(link.name)}_{k}.obj"
+            meshes[name] = hull_obj(attributes.vertices)
             attributes = {"filename": f"meshes/{name}"}
         for role in ("visual", "collision"):
             entry = SubElement(element, role, {"name": f"{link.name}_{role}_{k}"})
@@ -120,16 +103,12 @@ def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
             SubElement(SubElement(entry, "geometry"), kind, attributes)
 
 
-def _file_name(name: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
-
-
 def _simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, Array, Array | None]]:
     """A primitive as URDF's shapes: element, attributes, and pose in L."""
     if isinstance(shape, Sphere):
-        return [("sphere", {"radius": _number(shape.radius)}, shape.center, None)]
+        return [("sphere", {"radius": number(shape.radius)}, shape.center, None)]
     if isinstance(shape, Box):
-        return [("box", {"size": _numbers(shape.size)}, shape.p_LG, shape.R_LG)]
+        return [("box", {"size": numbers(shape.size)}, shape.p_LG, shape.R_LG)]
     if isinstance(shape, Convex):
         return [("mesh", shape, np.zeros(3), None)]
     balls = [_simple_parts(Sphere(p, shape.radius))[0] for p in (shape.p0, shape.p1)]
@@ -137,7 +116,7 @@ def _simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, A
     length = float(np.linalg.norm(d))
     if length < 1e-9:
         return balls[:1]
-    attributes = {"radius": _number(shape.radius), "length": _number(length)}
+    attributes = {"radius": number(shape.radius), "length": number(length)}
     return [("cylinder", attributes, 0.5 * (shape.p0 + shape.p1), _rotation_to(d / length)), *balls]
 
 
@@ -148,30 +127,16 @@ def _rotation_to(z: Array) -> Array:
     return np.array([x, np.cross(z, x), z], dtype=np.float64).T
 
 
-def _obj_text(vertices: Array) -> str:
-    """The hull of some points as an OBJ file, each triangle with its outward normal."""
-    hull = ConvexHull(vertices)
-    index = {int(k): i + 1 for i, k in enumerate(hull.vertices)}
-    lines = [f"v {_numbers(vertices[k])}" for k in hull.vertices]
-    normals = hull.equations[:, :3]
-    lines += [f"vn {_numbers(n)}" for n in normals]
-    for k, corners in enumerate(hull.simplices):
-        a, b, c = vertices[corners]
-        ordered = corners if np.cross(b - a, c - a) @ normals[k] > 0.0 else corners[::-1]
-        lines.append("f " + " ".join(f"{index[int(corner)]}//{k + 1}" for corner in ordered))
-    return "\n".join(lines) + "\n"
-
-
 def _add_joint(robot: Element, joint: Joint) -> None:
     element = SubElement(robot, "joint", {"name": joint.name, "type": joint.kind})
     _add_origin(element, joint.p_PJ, joint.R_PJ)
     SubElement(element, "parent", {"link": joint.parent})
     SubElement(element, "child", {"link": joint.child})
-    SubElement(element, "axis", {"xyz": _numbers(joint.axis)})
+    SubElement(element, "axis", {"xyz": numbers(joint.axis)})
     limits = {"lower": joint.lower, "upper": joint.upper, "effort": joint.effort, "velocity": VELOCITY}
-    SubElement(element, "limit", {key: _number(value) for key, value in limits.items()})
+    SubElement(element, "limit", {key: number(value) for key, value in limits.items()})
     if joint.coupling is not None:
-        law = {"multiplier": _number(joint.coupling.multiplier), "offset": _number(joint.coupling.offset)}
+        law = {"multiplier": number(joint.coupling.multiplier), "offset": number(joint.coupling.offset)}
         SubElement(element, "mimic", {"joint": joint.coupling.master, **law})
 
 
