@@ -24,6 +24,10 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+
+from xdex_drake.dataset.files import load_grasps, save_grasps
+from xdex_drake.errors import XdexError
+from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.grasping.synthesis import (
     SynthesisSettings,
     Tally,
@@ -31,10 +35,6 @@ from xdex_drake.grasping.synthesis import (
     candidates_of_batch,
     settings_of_batch,
 )
-
-from xdex_drake.dataset.files import load_grasps, save_grasps
-from xdex_drake.errors import XdexError
-from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import load_hand
 from xdex_drake.interchange.mjcf import MJCF, MjcfSettings
