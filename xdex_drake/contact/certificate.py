@@ -5,15 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_violation, contact_frames, grasp_matrix
 from xdex_drake.contact.margins import ball_margin, task_margin
 from xdex_drake.contact.wrench import GRAVITY, balance, gravity_wrench, push_wrenches
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Certificate, Contact
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 conic: Any = clarabel  # the extension module has no types
 

@@ -4,9 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csc_matrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
 from xdex_drake.contact.conic import (
     check_grasp,
@@ -16,8 +17,6 @@ from xdex_drake.contact.conic import (
     torque_scaling,
     upper_matrix,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_edges
 from xdex_drake.contact.conic import (
     CLARABEL,
@@ -33,8 +34,6 @@ from xdex_drake.contact.conic import (
 )
 from xdex_drake.contact.hull import GrowingHull
 from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
 """Penetration of a hand and points of an object's surface."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
-
-Array = NDArray[np.float64]
 
 
 def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayLike) -> Array:

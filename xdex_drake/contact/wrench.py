@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.solvers import MathematicalProgram
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.conic import (
     CLARABEL,
     STOPPED,
@@ -35,8 +36,6 @@ from xdex_drake.contact.conic import (
     upper_matrix,
 )
 from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Standard acceleration of gravity of the library [m/s^2], as in Drake's `UniformGravityFieldElement`."""

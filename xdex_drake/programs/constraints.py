@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import cross, skew
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.hand.description import Array
-from xdex_drake.hand.kinematics import cross, skew
 from xdex_drake.programs.point import CLOSE, Point
 
 MM = 1e3

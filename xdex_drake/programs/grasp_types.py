@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
+from xdex_drake.arrays import skew
 from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import Configuration, skew
+from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import terms
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import LeastSquares

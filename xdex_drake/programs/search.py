@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from xdex_drake.contact.cones import cross_matrices
+from xdex_drake.arrays import skew
 from xdex_drake.hand.batched_kinematics import BatchedHand, FixedPoints, rotation_step
 from xdex_drake.hand.collision import self_collision_pairs
 from xdex_drake.hand.description import Array, Hand
@@ -535,7 +535,7 @@ def turned_towards(R_WHs: Array, axis_H: Array, directions_W: Array) -> Array:
     """
     a = R_WHs @ axis_H
     v, c = np.cross(a, directions_W), (a * directions_W).sum(1)
-    S = cross_matrices(v)
+    S = skew(v)
     # Rodrigues; opposite vectors leave the least turn open, and uniformly random ones are never opposite.
     return (np.eye(3) + S + S @ S / (1.0 + c + 1e-12)[:, None, None]) @ R_WHs
 

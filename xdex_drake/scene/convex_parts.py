@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.arrays import Array
 from xdex_drake.cache import cache_folder, write_cache_file
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.scene.distance import ExactDistance, HalfSpaces, Part, build_grid, sample_surface, union_surface
 from xdex_drake.scene.plane_cuts import Bulge, split_by_planes
 from xdex_drake.scene.split_process import split_in_process
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
 
