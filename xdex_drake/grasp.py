@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,9 @@ from reasons import spoiled
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
+    from xdex_drake.arrays import Array
     from xdex_drake.grasp import Grasp
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.hand.description import Hand
     from xdex_drake.simulation.lift import LiftRig
 
 COLUMNS = ("hand", "object", "grasp", "spoiled_by", "named", "fact", "agree", "deepest_mm", "lowest_mm", "behind_mm")

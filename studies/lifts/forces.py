@@ -22,8 +22,9 @@ import numpy as np
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
+    from xdex_drake.arrays import Array
     from xdex_drake.grasp import Grasp
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
     from xdex_drake.simulation.lift import LiftRig
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule
+from xdex_drake.hand.description import Box, Capsule
 from xdex_drake.hand.importing.files import import_hand
 from xdex_drake.hand.importing.interpret import Imported, interpret
 from xdex_drake.hand.importing.model import FileInertia, FileJoint, FileLink, FileMimic, FileModel

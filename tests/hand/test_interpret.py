@@ -11,8 +11,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContact
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Hand, Sphere
+from xdex_drake.hand.description import Box, Capsule, Convex, Hand, Sphere
 from xdex_drake.hand.importing.interpret import Imported, interpret
 from xdex_drake.hand.importing.model import (
     Cylinder,

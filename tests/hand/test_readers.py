@@ -12,8 +12,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.hand.description import Box, Capsule, Sphere
 from xdex_drake.hand.importing.drake_plant import model_from_plant
 from xdex_drake.hand.importing.files import hand_from_plant, hand_name, model_digest, read_model
 from xdex_drake.hand.importing.mjcf import read_mjcf

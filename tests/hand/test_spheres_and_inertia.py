@@ -6,7 +6,8 @@ from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Hand, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Box, Capsule, Convex, Hand, Sphere
 from xdex_drake.hand.human import human_hand
 from xdex_drake.hand.importing.interpret import interpret
 from xdex_drake.hand.importing.model import FileJoint, FileLink, FileModel, TriangleMesh

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Convex, Hand
+from xdex_drake.hand.description import Convex, Hand
 from xdex_drake.hand.importing.mjcf import read_mjcf
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand

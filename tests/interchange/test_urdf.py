@@ -12,9 +12,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Convex, Hand
+from xdex_drake.hand.description import Convex, Hand
 from xdex_drake.hand.importing.urdf import read_urdf
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.bench.watch import Tick, Watch
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.programs.link_pose_ik import link_pose_ik
 from xdex_drake.programs.search import random_rotations

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.bench.watch import Tick, Watch
-from xdex_drake.hand.description import Array
 from xdex_drake.problems.files import load_any_problem, problem_scene
 from xdex_drake.problems.solve import problem_programs
 from xdex_drake.problems.wrench import WrenchProblem, solve_wrench_problem

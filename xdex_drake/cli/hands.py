@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.systems.framework import DiagramBuilder
 
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.arrays import Array
+    from xdex_drake.hand.description import Hand
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 

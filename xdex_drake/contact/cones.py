@@ -8,8 +8,8 @@ after contact: f = (f_C1, f_C2, ...), shape (3 n,). Wrenches are torque first, a
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xdex_drake.arrays import Array, skew
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array
 
 # A fixed rotation with exact entries. Any smooth choice of tangents fails for at least one normal; the one it fails for
 # here is -_R_WA[:, 2] = (-0.36, -0.48, -0.8), which no face of a box on a table has.
@@ -53,22 +53,6 @@ def contact_frames(n_WCs: ArrayLike) -> Array:
     return _R_WA @ R_AC
 
 
-def cross_matrices(v: ArrayLike) -> Array:
-    """Matrices [v]x with [v]x a = v x a.
-
-    Args:
-        v: Vectors, shape (..., 3).
-
-    Returns:
-        Skew-symmetric matrices, shape (..., 3, 3).
-    """
-    v = np.asarray(v, dtype=float)
-    S = np.zeros((*v.shape, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return S
-
-
 def grasp_matrix(p_WCs: ArrayLike, R_WCs: ArrayLike, p_WOcm: ArrayLike) -> Array:
     """Grasp matrix: the wrench on the object about its center of mass is F_Ocm_W = G f.
 
@@ -90,7 +74,7 @@ def grasp_matrix(p_WCs: ArrayLike, R_WCs: ArrayLike, p_WOcm: ArrayLike) -> Array
         raise ConfigError(
             f"grasp_matrix: shapes {p.shape}, {R.shape}, {c.shape} do not match; give (..., n, 3), (..., n, 3, 3), (3,)"
         )
-    blocks = np.concatenate([cross_matrices(p - c[..., None, :]) @ R, R], axis=-2)  # (..., n, 6, 3)
+    blocks = np.concatenate([skew(p - c[..., None, :]) @ R, R], axis=-2)  # (..., n, 6, 3)
     G = np.moveaxis(blocks, -3, -2)  # (..., 6, n, 3)
     return np.ascontiguousarray(G).reshape(*p.shape[:-2], 6, 3 * p.shape[-2])
 

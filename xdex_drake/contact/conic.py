@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from xdex_drake.grasp import Array
+from xdex_drake.arrays import Array
 
 conic: Any = clarabel  # the extension module has no types
 

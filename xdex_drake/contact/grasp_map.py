@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.conic import HoldingForces, holding_forces, torque_scaling
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array
 
 
 @dataclass(frozen=True)

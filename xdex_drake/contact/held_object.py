@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
 from xdex_drake.contact.grasp_map import GraspMap
 from xdex_drake.contact.wrench import GRAVITY
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array
 
 if TYPE_CHECKING:
     from xdex_drake.scene.tabletop import Scene

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_edges
 from xdex_drake.contact.conic import (
     CLARABEL,
@@ -25,7 +26,6 @@ from xdex_drake.contact.conic import (
 from xdex_drake.contact.grasp_map import Effort, GraspMap, effort_limits
 from xdex_drake.contact.hull import GrowingHull
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 
 
 def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayLike) -> Array:

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_edges
 from xdex_drake.contact.conic import TOLERANCE, conic, conic_solution, effort_rows, norm, solver_status
 from xdex_drake.contact.grasp_map import Effort, GraspMap, effort_limits
 from xdex_drake.contact.wrench import UNBALANCEABLE, Balance
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array
 
 
 def balance_linearized(

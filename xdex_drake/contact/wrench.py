@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.solvers import MathematicalProgram
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.conic import (
     CLARABEL,
     STOPPED,
@@ -29,7 +30,6 @@ from xdex_drake.contact.conic import (
     solve_conic,
 )
 from xdex_drake.contact.grasp_map import Effort, GraspMap, effort_limits
-from xdex_drake.grasp import Array
 
 GRAVITY = 9.81
 """Standard acceleration of gravity of the library [m/s^2], as in Drake's `UniformGravityFieldElement`."""

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.dataset.schema import ObjectFacts, Row, row_from_grasp
 from xdex_drake.grasp import Grasp
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.heading import object_point
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.yaml_file import hand_digest

@@ -13,16 +13,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import GraspFileError
 from xdex_drake.grasp import Certificate, Contact, Grasp, Hold, Lift
 from xdex_drake.hand.description import Hand
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 SCHEMA_VERSION = 2

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.math import RigidTransform
 
+from xdex_drake.arrays import Array
 from xdex_drake.grasping.pregrasp import NO_CONTACTS
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
 from xdex_drake.scene.tabletop import Scene

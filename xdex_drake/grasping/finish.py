@@ -8,12 +8,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.certificate import certify
 from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
-from xdex_drake.grasp import Array, Certificate, Grasp
+from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
 from xdex_drake.grasping.pregrasp import pregrasp

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.grasping.pregrasp import NO_CONTACTS
-from xdex_drake.hand.description import Array, Finger, Hand
+from xdex_drake.hand.description import Finger, Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import constraints
 from xdex_drake.programs.point import Point

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.math import RigidTransform
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import constraints
 from xdex_drake.programs.force_closure import near_self_pairs, posture_cost

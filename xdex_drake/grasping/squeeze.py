@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.wrench import balance, gravity_wrench
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.pregrasp import NO_CONTACTS
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
 from xdex_drake.scene.tabletop import Scene

@@ -19,9 +19,9 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from scipy.spatial.distance import cdist
 
+from xdex_drake.arrays import Array, skew
 from xdex_drake.hand.collision import OVERLAP_MARGIN, ignored_indices
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import skew
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.plant import ShapeOf, add_hand, contact_shape, drake_shape
 
 LINKS = (6, 40)

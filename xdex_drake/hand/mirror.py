@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Finger, Geometry, Hand, Joint, Link
+from xdex_drake.hand.description import Finger, Geometry, Hand, Joint, Link
 from xdex_drake.hand.inertia import link_inertia
 from xdex_drake.hand.shapes import FLIP
 from xdex_drake.hand.spheres import fit_spheres

@@ -30,9 +30,10 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Box, Capsule, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.description import Box, Capsule, Geometry, Hand, Joint, Link, Sphere
 
 JOINT_DAMPING = 0.01
 """Viscous damping of every joint [N m s/rad or N s/m]."""

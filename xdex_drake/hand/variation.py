@@ -14,16 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.hand.description import (
-    Array,
-    Coupling,
-    Finger,
-    Geometry,
-    Hand,
-    Joint,
-    Link,
-)
+from xdex_drake.hand.description import Coupling, Finger, Geometry, Hand, Joint, Link
 from xdex_drake.hand.inertia import ROTOR_INERTIA, link_inertia
 from xdex_drake.hand.kinematics import rotation_about
 from xdex_drake.hand.spheres import fit_spheres

@@ -19,20 +19,9 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import (
-    Array,
-    Box,
-    Capsule,
-    Convex,
-    Coupling,
-    Finger,
-    Geometry,
-    Hand,
-    Joint,
-    Link,
-    Sphere,
-)
+from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.inertia import link_inertia
 from xdex_drake.hand.shapes import values_of
 from xdex_drake.hand.spheres import fit_spheres

@@ -17,10 +17,11 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
 from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR, visual_obj

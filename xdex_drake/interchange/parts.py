@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 
 
 def numbers(values: Array) -> str:

@@ -5,9 +5,10 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Box, Convex, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.description import Box, Convex, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
 
 VELOCITY = 10.0

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydrake.math import RigidTransform
 
-from xdex_drake.hand.description import Array, Hand, Link
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand, Link
 from xdex_drake.hand.heading import heading, object_point
 from xdex_drake.hand.kinematics import forward_kinematics
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.learning.features import HandFeatures, ObjectFeatures, link_pose_vectors, link_poses_from_vectors
 from xdex_drake.learning.models.cvae import CVAE, HandBatch, denormalize_poses, normalize_poses
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 
+from xdex_drake.arrays import Array
 from xdex_drake.dataset.folder import read_dataset
 from xdex_drake.dataset.schema import ObjectFacts, Row, grasp_from_row, object_facts_from_row
 from xdex_drake.errors import DatasetError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
 from xdex_drake.learning.batches import Sample, TrainingSet

@@ -11,13 +11,13 @@ from typing import Literal
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
 from xdex_drake.contact.grasp_map import Effort, GraspMap
 from xdex_drake.contact.margins import ball_margin, task_margin
 from xdex_drake.contact.pyramids import epsilon_linearized, min_weight
 from xdex_drake.contact.wrench import GRAVITY, balance, gravity_wrench, push_wrenches
 from xdex_drake.errors import ProblemFileError
-from xdex_drake.hand.description import Array
 from xdex_drake.typed_yaml import NOT_IN_FILE
 
 WrenchProgram = Literal["balance", "task_margin", "ball_margin", "epsilon", "min_weight"]

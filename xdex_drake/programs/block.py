@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.programs.point import Point
 
 MM = 1e3

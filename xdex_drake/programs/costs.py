@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.point_view import PointView

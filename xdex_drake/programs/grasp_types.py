@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 
 GraspType = Literal["any", "pinch", "tripod", "power"]

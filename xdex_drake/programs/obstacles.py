@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
+from xdex_drake.arrays import Array, cross
 from xdex_drake.contact.cones import cone_edges, contact_frames
 from xdex_drake.hand.batched_kinematics import BatchedHand
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import cross
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.grasp_types import GraspType, Slot, contact_slots
 from xdex_drake.scene.tabletop import Scene

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.scene.tabletop import Scene
 

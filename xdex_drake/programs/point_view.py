@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import cross
+from xdex_drake.arrays import Array, cross
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.contact_forces import FORCE_FRICTION, relaxed_forces
 from xdex_drake.programs.grasp_types import approach_axis, contact_slots, finger_tips
 from xdex_drake.programs.point import Point

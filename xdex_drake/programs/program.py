@@ -20,7 +20,8 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.solvers import MathematicalProgram
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.block import Block
 from xdex_drake.programs.costs import Cost, EnergyCost, LeastSquares, UserCost

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.grasp import Grasp
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_points
 from xdex_drake.programs.program import GraspProgram

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.cache import cache_folder, write_cache_file
-from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.mesh_file import Faces
 from xdex_drake.scene.distance import ExactDistance, Part, sample_surface, union_surface
 from xdex_drake.scene.hulls import hull_part
 from xdex_drake.scene.split_process import split_in_process

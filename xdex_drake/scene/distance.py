@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
+
 Faces = NDArray[np.int64]
 Part = tuple[Array, Faces]
 

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
-from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.mesh_file import Faces
 from xdex_drake.scene.distance import HalfSpaces, Part
 
 HULL_VERTICES = 256  # Four times as many vertices as 64 cost Drake's queries a quarter more time, measured.

@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError, UnknownObject
 from xdex_drake.scene.convex_parts import convex_parts, mesh_digest, read_cache, write_cache
@@ -21,7 +22,6 @@ from xdex_drake.scene.hulls import convex_hull
 from xdex_drake.scene.mesh import TriangleMesh, clean_mesh, read_mesh
 from xdex_drake.scene.procedural import list_objects, procedural_mesh
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
 

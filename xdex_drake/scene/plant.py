@@ -31,7 +31,8 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.plant import add_hand
 from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.tabletop import Scene

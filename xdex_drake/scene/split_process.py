@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
-from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.mesh_file import Faces
 from xdex_drake.scene.distance import Part
 from xdex_drake.scene.splitting import TooDetailed, refine, split, split_coarsely
 

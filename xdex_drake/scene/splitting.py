@@ -6,8 +6,9 @@ import coacd
 import manifold3d
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
-from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.mesh_file import Faces
 from xdex_drake.scene.distance import ExactDistance, Part, build_grid, sample_surface, union_surface
 from xdex_drake.scene.hulls import hull_part
 from xdex_drake.scene.plane_cuts import Bulge, split_by_planes

@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 from pydrake.math import RigidTransform
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.wrench import GRAVITY
-from xdex_drake.grasp import Array, Hold
+from xdex_drake.grasp import Hold
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import HoldTest, LiftProtocol
 

@@ -17,7 +17,8 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from xdex_drake.grasp import Array, Grasp, Lift
+from xdex_drake.arrays import Array
+from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import MissingExtra
-from xdex_drake.grasp import Array, Grasp, Lift
+from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.interchange.mjcf import MJCF, Mjcf, MjcfSettings, body_name, scene_mjcf
 from xdex_drake.scene.tabletop import Scene

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from xdex_drake.grasp import Array, Grasp
+from xdex_drake.arrays import Array
+from xdex_drake.grasp import Grasp
 from xdex_drake.simulation.protocol import LiftProtocol
 
 

@@ -14,8 +14,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import build_plant
 from xdex_drake.visualization.pictures import (
     FOV_Y,

@@ -25,9 +25,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array, Grasp, Lift
+from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
 from xdex_drake.scene.plant import build_plant

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Member, Tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions
 from xdex_drake.hand.importing.finger_names import FINGER_NAMES, named_fingers

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Coupling, Hand, Joint, Link
+from xdex_drake.hand.description import Coupling, Hand, Joint, Link
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileJoint, FileLink, FileModel
 from xdex_drake.hand.kinematics import rotation_about

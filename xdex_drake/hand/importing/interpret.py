@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import OVERLAP_MARGIN, self_collision_pairs, sphere_distance, spheres_of_links
-from xdex_drake.hand.description import Array, Finger, Geometry, Hand, Link
+from xdex_drake.hand.description import Finger, Geometry, Hand, Link
 from xdex_drake.hand.importing.anatomy import Anatomy, find_digits, name_fingers, zero_posture
 from xdex_drake.hand.importing.bodies import Member, Tree, link_poses
 from xdex_drake.hand.importing.check import check_model

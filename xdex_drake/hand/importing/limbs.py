@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, homogeneous, joint_motion, link_poses
 from xdex_drake.hand.importing.model import FileJoint, FileModel
 from xdex_drake.hand.importing.shape import surface_points

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, build_tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileMimic, FileModel

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from xdex_drake.hand.description import Array, Geometry, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Geometry, Hand
 from xdex_drake.hand.importing.bodies import Member, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileInertia

@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import trimesh
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array
 from xdex_drake.hand.importing.decisions import Decision, join
 from xdex_drake.hand.importing.model import FileLink, TriangleMesh
 from xdex_drake.hand.importing.xml_file import read_xml

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Box, Capsule, Sphere
 from xdex_drake.hand.importing.decisions import Decision
 from xdex_drake.hand.shapes import circle
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, build_tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.finger_names import side_from_names

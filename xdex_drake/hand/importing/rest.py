@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.hand.collision import ignored_indices
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.anatomy import Anatomy
 from xdex_drake.hand.importing.bodies import link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions

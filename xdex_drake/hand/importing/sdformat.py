@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array
 from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, notes_of_lost
 from xdex_drake.hand.importing.model import FileGeometry, FileLink, FileModel, TriangleMesh
 from xdex_drake.hand.importing.xml_file import MAX_LINKS, Element, read_xml

@@ -14,7 +14,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from xdex_drake.hand.description import Array, Capsule, Convex, Geometry
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Capsule, Convex, Geometry
 from xdex_drake.hand.importing.bodies import Member, Tree
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import Cylinder, FileGeometry, TriangleMesh

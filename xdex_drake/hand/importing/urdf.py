@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.hand.description import Box, Capsule, Sphere
 from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, ellipsoid, notes_of_lost, placed
 from xdex_drake.hand.importing.model import (
     Cylinder,

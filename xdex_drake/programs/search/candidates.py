@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 
 
 @dataclass(frozen=True)

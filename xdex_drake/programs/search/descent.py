@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from xdex_drake.arrays import Array
 from xdex_drake.hand.batched_kinematics import rotation_step
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.search.candidates import Candidates, State, candidates_of_state
 from xdex_drake.programs.search.problem import SearchProblem, search_problem
 from xdex_drake.programs.search.settings import SearchSettings

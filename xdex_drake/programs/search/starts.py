@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from xdex_drake.contact.cones import cross_matrices
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array, skew
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.grasp_types import approach_axis, random_contact_sets
 from xdex_drake.programs.search.candidates import State
 from xdex_drake.programs.search.problem import SearchProblem
@@ -40,7 +40,7 @@ def turned_towards(R_WHs: Array, axis_H: Array, directions_W: Array) -> Array:
     """
     a = R_WHs @ axis_H
     v, c = np.cross(a, directions_W), (a * directions_W).sum(1)
-    S = cross_matrices(v)
+    S = skew(v)
     # Rodrigues; opposite vectors leave the least turn open, and uniformly random ones are never opposite.
     return (np.eye(3) + S + S @ S / (1.0 + c + 1e-12)[:, None, None]) @ R_WHs
 

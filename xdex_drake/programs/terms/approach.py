@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.programs.arrays import like
 from xdex_drake.programs.costs import LeastSquares, squared
 from xdex_drake.programs.term import Pull, View

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.programs.block import MM, Block, without_forces
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.term import Pull, View

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from xdex_drake.hand.description import Array
-from xdex_drake.hand.kinematics import cross
+from xdex_drake.arrays import Array, cross
 from xdex_drake.programs.block import Block, without_forces
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.term import Pull, View

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.programs.block import MM, Block
 from xdex_drake.programs.point import CLOSE, Point
 from xdex_drake.programs.term import Pull, View
