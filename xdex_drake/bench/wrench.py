@@ -16,8 +16,9 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
     """Grasps of three, four and six contacts, fingers of three joints behind them; each program runs five times.
 
     Args:
-        watch: Where times go: balance (the solver alone, with building, within efforts), task margin, ball margin,
-            certificate, re-check. Facts are the worst residual of a certificate and the widest bracket.
+        watch: Where times go: balance (the solver alone, with building, with pyramids for cones, within efforts), task
+            margin, margins with gradients, ball margin, certificate, re-check. Facts are the worst residual of a
+            certificate and the widest bracket.
         repeats: Number of grasps of each number of contacts.
         seed: Seed of the grasps.
         tick: Called after each grasp.
@@ -59,6 +60,10 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
             watch.time_often(
                 f"task margin, six pushes, {n}",
                 lambda new=new, effort=effort: contact.task_margin(new(), gravity, pushes, effort=effort),
+            )
+            watch.time_often(
+                f"margins with gradients, six pushes, {n}",
+                lambda out=out: contact.push_margins(RADIUS * out, -out, MU, RADIUS, most_force=6.0),
             )
             ball = watch.time_often(
                 f"ball margin to 1e-3, {n}",

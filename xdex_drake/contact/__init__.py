@@ -2,6 +2,7 @@
 
 from xdex_drake.contact.certificate import CertificateResult, Residuals, certified_map, certify, check_certificate
 from xdex_drake.contact.cones import cone_edges, cone_violation, contact_frames, effort_map, grasp_matrix, in_cone
+from xdex_drake.contact.gradients import PushMargins, push_margins
 from xdex_drake.contact.grasp_map import Effort, GraspMap
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.margins import BallMargin, TaskMargin, ball_margin, support, task_margin
@@ -24,6 +25,7 @@ __all__ = [
     "Effort",
     "GraspMap",
     "HeldObject",
+    "PushMargins",
     "Residuals",
     "TaskMargin",
     "balance",
@@ -44,6 +46,7 @@ __all__ = [
     "in_cone",
     "min_weight",
     "penetration_depth",
+    "push_margins",
     "push_wrenches",
     "support",
     "task_margin",

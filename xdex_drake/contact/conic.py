@@ -84,18 +84,6 @@ def full_matrix(M: Array) -> csc_matrix:
 
 
 @lru_cache(maxsize=64)
-def _upper_pattern(k: int) -> csc_matrix:
-    return csc_matrix(np.triu(np.ones((k, k))))
-
-
-def upper_matrix(P: Array) -> csc_matrix:
-    """The upper triangle of a dense symmetric matrix."""
-    matrix = copy(_upper_pattern(len(P)))
-    matrix.data = P.T[np.tril_indices(len(P))]
-    return matrix
-
-
-@lru_cache(maxsize=64)
 def _diagonal_pattern(k: int) -> csc_matrix:
     return csc_matrix(np.eye(k))
 
