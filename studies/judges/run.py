@@ -1,10 +1,12 @@
 """Two judges: the same grasps lifted in Drake and in MuJoCo, and what MuJoCo's settings do to its verdicts.
 
 Grasps are chosen by their certificate alone. `make` searches for them, a file for each hand and mesh; `judge` lifts all
-of them, and each once more spoiled, in both simulators; `summarize` prints the tables of README.md:
+of them, and each once more spoiled, in both simulators; `sweep` changes MuJoCo's settings one at a time, on shapes of
+the library; `summarize` prints the tables of README.md:
 
     python studies/judges/run.py make GRASPS --meshes ../shared/objects
     python studies/judges/run.py judge GRASPS --out studies/judges/results.csv
+    python studies/judges/run.py sweep GRASPS
     python studies/judges/run.py summarize studies/judges/results.csv
 
 What is there already is not made again.
@@ -22,6 +24,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +33,14 @@ from xdex_drake.errors import XdexError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.grasping.synthesis import (
     SynthesisSettings,
-    Tally,
     batch_seed,
     candidates_of_batch,
     settings_of_batch,
 )
-from xdex_drake.hand.description import Hand
+from xdex_drake.grasping.tally import Tally
+from xdex_drake.hand.description import Finger, Hand
 from xdex_drake.hand.library import load_hand
-from xdex_drake.interchange.mjcf import MJCF, MjcfSettings
+from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, hand_mjcf
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
 from xdex_drake.simulation import lift as drake
@@ -83,6 +86,25 @@ SETTINGS: dict[str, tuple[MjcfSettings, Callable[[mujoco.MujocoRig], None]]] = {
     "mujoco, own contacts": (SOFT, bare),
     "mujoco, own contacts, no armature": (replace(SOFT, armature=0.0, slide_armature=0.0), bare),
 }
+
+SWEEP: tuple[tuple[str, MjcfSettings, Callable[[mujoco.MujocoRig], None]], ...] = (
+    ("nothing", MJCF, leave),
+    *((f"armature {one:g} kg m2", replace(MJCF, armature=one), leave) for one in (0.0, 1e-4, 2e-3)),
+    *(
+        (
+            f"step {1e3 * one:g} ms, time constant {2e3 * one:g} ms",
+            replace(MJCF, time_step=one, time_constant=2 * one),
+            leave,
+        )
+        for one in (0.0005, 0.001, 0.004)
+    ),
+    *((f"time constant {1e3 * one:g} ms", replace(MJCF, time_constant=one), leave) for one in (0.01, 0.02)),
+    ("impedance 0.9 to 0.95", replace(MJCF, impedance=(0.9, 0.95, 0.001)), leave),
+    *((f"impratio {one:g}", replace(MJCF, impratio=one), leave) for one in (1.0, 100.0)),
+    ("pyramids for cones, Euler", MJCF, bare),
+    ("all contacts as MuJoCo's own", SOFT, bare),
+    ("the same, and no armature", replace(SOFT, armature=0.0, slide_armature=0.0), bare),
+)
 
 HALVED = ("drake, half step", "mujoco, half step")
 OTHERS = tuple(name for name in SETTINGS if name not in ("mujoco", *HALVED))
@@ -238,6 +260,75 @@ def judged(case: Case, promised: float) -> Iterator[tuple]:
             names += HALVED
 
 
+def masses(hands: list[str]) -> None:
+    """Prints what a contact at each hand's fingertips feels, at the rest posture, without and with armature [g]."""
+    print("| hand | fingertip | felt along the pad's normal, with armature | taken by MuJoCo, with armature |")
+    print("|---|---|---|---|")
+    for name in hands:
+        hand, rows = load_hand(name), []
+        for armature in (0.0, MJCF.armature):
+            model = mujoco.load_model(hand_mjcf(hand, settings=replace(MJCF, armature=armature)))
+            rows.append(np.array([felt(model, hand, finger) for finger in hand.fingers]))
+        (tip, bare_felt, bare_taken), (_, felt_, taken) = (1e3 * one.T for one in rows)
+        cells = [tip, bare_felt, felt_, bare_taken, taken]
+        a, b, c, d, e = (f"{cell.min():.0f} to {cell.max():.0f}" for cell in cells)
+        print(f"| {name} | {a} | {b}, {c} | {d}, {e} |")
+
+
+def felt(model: Any, hand: Hand, finger: Finger) -> tuple[float, float, float]:
+    """Mass of a fingertip's link; 1 / (n^T J M^-1 J^T n) at its pad; what MuJoCo takes for it in contacts [kg]."""
+    module = mujoco.mujoco_module()
+    data = module.MjData(model)
+    for joint, value in zip(hand.joints, hand.q_full(hand.q_rest), strict=True):
+        data.joint(joint.name).qpos[0] = value
+    module.mj_forward(model, data)
+    body, J = data.body(finger.tip_link), np.zeros((3, model.nv))
+    module.mj_jac(model, data, J, None, data.site(f"{finger.name}_tip").xpos, body.id)
+    row, solved = (body.xmat.reshape(3, 3) @ finger.n_LPad @ J)[None], np.zeros((1, model.nv))
+    module.mj_solveM(model, data, solved, row)
+    return model.body_mass[body.id], 1.0 / float(row[0] @ solved[0]), 1.0 / model.body_invweight0[body.id, 0]
+
+
+def sweep(folder: Path, shapes: list[str], count: int) -> None:
+    """Prints what each of MuJoCo's settings does, one at a time: lifts, depth of contacts, motion in the hand."""
+    paths = [path for path in sorted(folder.glob("*.parquet")) if path.stem.split("-")[-1] in shapes]
+    items = [item for path in paths for item in load_grasps(path)[:count]]
+    print(f"\n{len(items)} grasps of {', '.join(shapes)}\n")
+    print("| changed | lifts | deepest contact [mm] | motion in the hand in 0.3 s [mm] | couplings off by [mrad] |")
+    print("|---|---|---|---|---|")
+    for name, settings, change in SWEEP:
+        rows = [held(item.grasp, item.hand, item.scene, settings, change) for item in items]
+        lifted = np.array([row[0] for row in rows], dtype=bool)
+        depth, motion, apart = np.array([row[1:] for row in rows])[lifted].T * 1e3
+        print(
+            f"| {name} | {lifted.mean():.0%} | {np.median(depth):.3f} (p90 {np.percentile(depth, 90):.3f}) "
+            f"| {np.median(motion):.2f} (p90 {np.percentile(motion, 90):.2f}) | {apart.max():.2f} |",
+            flush=True,
+        )
+
+
+def held(
+    grasp: Grasp, hand: Hand, scene: Scene, settings: MjcfSettings, change: Callable[[mujoco.MujocoRig], None]
+) -> tuple[bool, float, float, float]:
+    """Whether a grasp lifts; at the end deepest contact [m], motion in the hand [m], error of couplings [rad]."""
+    rig = mujoco.mujoco_rig(hand, scene, settings=settings)
+    change(rig)
+    verdict = mujoco.simulate_lift(rig, grasp)
+    if not verdict.success:
+        return False, np.nan, np.nan, np.nan
+    ends = []
+    rig.start(grasp)
+    for t in (LIFT.duration_s - LIFT.hold_s, LIFT.duration_s):
+        rig.advance_to(t)
+        wrist = rig.data.body(mujoco.MOUNT)
+        ends.append(wrist.xmat.reshape(3, 3).T @ (rig.X_WO() @ scene.object.p_OOcm - wrist.xpos))
+    geoms = rig.model.geom_bodyid[np.asarray(rig.data.contact.geom)]
+    depth = -np.min(np.asarray(rig.data.contact.dist)[(geoms == rig.object_body).any(axis=1)], initial=0.0)
+    q_full = rig.data.qpos[rig.joint_addresses]
+    q = q_full[[joint.coupling is None for joint in hand.joints]]
+    return True, depth, float(np.linalg.norm(ends[1] - ends[0])), float(np.abs(q_full - hand.q_full(q)).max())
+
+
 def kappa(pairs: list[tuple[bool, bool]]) -> float:
     """Cohen's kappa of two judges."""
     a, b = np.array(pairs, dtype=float).reshape(-1, 2).T
@@ -301,9 +392,9 @@ def summarize(path: Path) -> None:
 
 
 def main() -> None:
-    """Runs one of the three steps."""
+    """Runs one of the steps."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", choices=("make", "judge", "summarize"))
+    parser.add_argument("step", choices=("make", "judge", "sweep", "summarize"))
     parser.add_argument("path", type=Path)
     parser.add_argument("--meshes", type=Path, help="folder with index.json; shapes of the library where not given")
     parser.add_argument("--hands", nargs="+", default=HANDS)
@@ -319,6 +410,9 @@ def main() -> None:
         make(options.path, options.hands, objects[: options.objects], options.count)
     elif options.step == "judge":
         judge(options.path, options.out, options.count)
+    elif options.step == "sweep":
+        masses(options.hands)
+        sweep(options.path, list(SHAPES[:4]), options.count)
     else:
         summarize(options.path)
 

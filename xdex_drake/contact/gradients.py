@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_matrix
 
+from xdex_drake.arrays import Array, cross
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
 from xdex_drake.contact.conic import cone_rows, conic, conic_solution, program_cones, solver_status
 from xdex_drake.contact.grasp_map import GraspMap
 from xdex_drake.contact.wrench import GRAVITY, push_wrenches
-from xdex_drake.grasp import Array
-from xdex_drake.hand.kinematics import cross
 
 
 @dataclass(frozen=True)

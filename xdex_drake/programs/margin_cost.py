@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.gradients import push_margins
-from xdex_drake.hand.description import Array
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import LeastSquares
 
