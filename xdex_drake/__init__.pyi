@@ -81,7 +81,7 @@ from .scene.tabletop import (
 from .scene.tabletop import (
     stable_poses as stable_poses,
 )
-from .simulation.lift import lift as lift
+from .simulation.drake import lift as lift
 from .simulation.protocol import (
     LIFT as LIFT,
 )

@@ -36,7 +36,7 @@ def rows_of_object(mesh: str, hand_name: str, protocol_name: str, count: int, bu
     from xdex_drake.programs.grasp_types import approach_axis
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
-    from xdex_drake.simulation.lift import lift_rig, simulate_lift
+    from xdex_drake.simulation.drake import lift_rig, simulate_lift
     from xdex_drake.simulation.protocol import find_protocol, protocol_scene
 
     start = time.process_time()

@@ -23,7 +23,7 @@ from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.force_closure import program_of_candidate
 from xdex_drake.programs.search import search
 from xdex_drake.programs.solve import solve
-from xdex_drake.simulation.lift import lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT
 
 OBJECTS = ("can", "box", "mug", "ball", "bottle", "s0-0003", "s0-0011", "s0-0027")

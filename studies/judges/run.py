@@ -43,8 +43,7 @@ from xdex_drake.hand.library import load_hand
 from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, hand_mjcf
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
-from xdex_drake.simulation import lift as drake
-from xdex_drake.simulation import mujoco
+from xdex_drake.simulation import drake, mujoco
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, with_physics
 from xdex_drake.simulation.robust import RobustSettings, displaced
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from xdex_drake.arrays import Array
     from xdex_drake.grasp import Grasp
     from xdex_drake.hand.description import Hand
-    from xdex_drake.simulation.lift import LiftRig
+    from xdex_drake.simulation.drake import LiftRig
 
 COLUMNS = ("hand", "object", "grasp", "spoiled_by", "named", "fact", "agree", "deepest_mm", "lowest_mm", "behind_mm")
 POINTS = 200_000
@@ -75,7 +75,7 @@ def read_fact(rig: "LiftRig", grasp: "Grasp") -> "tuple[str, str, float, float, 
 
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.scene.distance import sample_surface
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     bench, protocol, hand = rig.bench, rig.protocol, rig.bench.hand
     assert bench.object_body is not None and bench.scene is not None
@@ -133,7 +133,7 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
-    from xdex_drake.simulation.lift import shared_rig
+    from xdex_drake.simulation.drake import shared_rig
 
     rng, share = np.random.default_rng(1), -(-count // (len(hands) * len(objects)))
     with out.open("w", newline="") as file:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
     from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
-    from xdex_drake.simulation.lift import LiftRig
+    from xdex_drake.simulation.drake import LiftRig
 
 FACTORS = (0.7, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)
 COLUMNS = ("hand", "object", "grasp", "squeeze", "normal_n", "limited", "success", "reason", "creep_mm_s")
@@ -63,7 +63,7 @@ def held(rig: "LiftRig", grasp: "Grasp") -> tuple[bool, str, float]:
     """Success, failure reason, creep while held [mm/s]; the rig holds 2 s longer than a lift."""
     from pydrake.systems.framework import EventStatus
 
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     bench, protocol, seen = rig.bench, rig.protocol, []
     body, scene = bench.object_body, bench.scene
@@ -94,7 +94,7 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
-    from xdex_drake.simulation.lift import lift_rig
+    from xdex_drake.simulation.drake import lift_rig
     from xdex_drake.simulation.protocol import LIFT
 
     protocol = replace(LIFT, hold_s=LIFT.hold_s + 2.0)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
     from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
-    from xdex_drake.simulation.lift import LiftRig
+    from xdex_drake.simulation.drake import LiftRig
     from xdex_drake.simulation.protocol import LiftProtocol
 
 COLUMNS = ("hand", "object", "grasp", "spoiled_by", "named", "read", "agree", "rise_m", "peak_m")
@@ -46,7 +46,7 @@ def read_reason(rig: "LiftRig", grasp: "Grasp") -> tuple[str, str, float, float]
     from xdex_drake.contact.penetration import penetration_depth
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.scene.distance import sample_surface
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     bench, protocol, hand = rig.bench, rig.protocol, rig.bench.hand
     plant, model = bench.plant, bench.scene.object
@@ -137,7 +137,7 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
-    from xdex_drake.simulation.lift import shared_rig
+    from xdex_drake.simulation.drake import shared_rig
 
     rng, share, rows = np.random.default_rng(0), -(-count // (len(hands) * len(objects))), []
     for name in hands:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
     from xdex_drake.grasp import Grasp, Lift
-    from xdex_drake.simulation.lift import LiftRig
+    from xdex_drake.simulation.drake import LiftRig
 
 SETTINGS = {
     "ours": {},
@@ -37,7 +37,7 @@ def lift_with_gauges(rig: "LiftRig", grasp: "Grasp") -> "tuple[Lift, float, floa
     """Verdict, sum of normal forces measured over promised, motion in the hand while held [mm], CPU [s]."""
     from pydrake.systems.framework import EventStatus
 
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     bench, protocol = rig.bench, rig.protocol
     plant = bench.plant
@@ -77,7 +77,7 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
-    from xdex_drake.simulation.lift import lift_rig
+    from xdex_drake.simulation.drake import lift_rig
     from xdex_drake.simulation.protocol import LIFT
 
     new = not out.exists()

@@ -33,7 +33,7 @@ from xdex_drake.programs.force_closure import PolishSettings, program_of_candida
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
-from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, with_physics
 
 MARGINS = ("task_margin", "ball_margin", "epsilon", "friction_left")

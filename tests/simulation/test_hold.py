@@ -11,8 +11,8 @@ from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
+from xdex_drake.simulation.drake import lift_rig, simulate_lift
 from xdex_drake.simulation.hold import NOT_LIFTED, PUSHES, slip_and_turn
-from xdex_drake.simulation.lift import lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import HOLD, LIFT
 from xdex_drake.simulation.robust import RobustSettings, robust_lift
 

@@ -16,7 +16,7 @@ from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import lift, lift_rig, shared_rig, simulate_lift
+from xdex_drake.simulation.drake import lift, lift_rig, shared_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT
 from xdex_drake.simulation.trajectory import target_rates, targets
 from xdex_drake.simulation.verdict import FAILURE_REASONS

@@ -14,7 +14,7 @@ from xdex_drake.hand.library import load_hand
 from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, export_scenes, scene_mjcf
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation import lift as drake
+from xdex_drake.simulation import drake
 from xdex_drake.simulation.mujoco import lift, load_model, mujoco_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT
 from xdex_drake.simulation.trajectory import target_rates, targets

@@ -12,7 +12,7 @@ from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import BENCH_LIFT, FROGGER_LIFT, LIFT, PROTOCOLS, find_protocol, protocol_scene
 from xdex_drake.simulation.robust import RobustSettings, displaced, robust_lift
 from xdex_drake.simulation.trajectory import targets

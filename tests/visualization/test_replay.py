@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from xdex_drake.errors import ConfigError
-from xdex_drake.simulation.lift import lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift_rig, simulate_lift
 from xdex_drake.visualization.replay import PAUSE_FRAMES, grasp_page, record_lift, replay_lift, view_live
 
 

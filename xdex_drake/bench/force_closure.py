@@ -10,7 +10,7 @@ from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift_rig, simulate_lift
 
 CANDIDATES = 64
 """Candidates that the search leaves, out of more starts."""

@@ -16,7 +16,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.search import SearchSettings
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
+from xdex_drake.simulation.drake import LiftRig, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 LENIENT_EVERY = 3

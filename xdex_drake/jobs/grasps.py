@@ -204,7 +204,7 @@ def run_proposals(unit: ProposalUnit) -> BatchResult:
     from xdex_drake.grasping.finish import finish
     from xdex_drake.grasping.synthesis import batch_seed, named
     from xdex_drake.grasping.tally import Tally
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     use_one_thread()
     begin = time.perf_counter()

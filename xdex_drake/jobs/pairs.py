@@ -28,7 +28,7 @@ from xdex_drake.jobs.processes import UnitResult, run_units
 from xdex_drake.jobs.workbench import hand_of
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import shared_rig
+from xdex_drake.simulation.drake import shared_rig
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ _ONE_THREAD = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
-PRELOADED = ("xdex_drake.dataset.files", "xdex_drake.simulation.lift")
+PRELOADED = ("xdex_drake.dataset.files", "xdex_drake.simulation.drake")
 """What the server imports; what else a unit needs, its worker imports."""
 
 _FAILED_STARTS = 3

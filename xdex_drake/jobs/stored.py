@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-SIMULATORS = {"drake": "xdex_drake.simulation.lift", "mujoco": "xdex_drake.simulation.mujoco"}
+SIMULATORS = {"drake": "xdex_drake.simulation.drake", "mujoco": "xdex_drake.simulation.mujoco"}
 """The module of each simulator's `lift`."""
 
 
@@ -156,7 +156,7 @@ def run_retarget(unit: RetargetUnit) -> Outcome:
     """
     from xdex_drake.grasping.finish import Outcome
     from xdex_drake.grasping.retarget import retarget
-    from xdex_drake.simulation.lift import simulate_lift
+    from xdex_drake.simulation.drake import simulate_lift
 
     use_one_thread()
     outcome = retarget(unit.grasp, hand_of(unit.source), hand_of(unit.target), scene_of(unit.scene))

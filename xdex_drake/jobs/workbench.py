@@ -10,7 +10,7 @@ from xdex_drake.scene.facts import SceneFacts
 if TYPE_CHECKING:
     from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
-    from xdex_drake.simulation.lift import LiftRig
+    from xdex_drake.simulation.drake import LiftRig
     from xdex_drake.simulation.protocol import LiftProtocol
 
 
@@ -29,8 +29,8 @@ def scene_of(facts: SceneFacts) -> Scene:
 
 
 def rig_of(hand: str, facts: SceneFacts, protocol: LiftProtocol | None = None) -> LiftRig:
-    """The lift rig of a hand and a scene; see `simulation.lift.shared_rig`."""
-    from xdex_drake.simulation.lift import shared_rig
+    """The lift rig of a hand and a scene; see `simulation.drake.shared_rig`."""
+    from xdex_drake.simulation.drake import shared_rig
     from xdex_drake.simulation.protocol import LIFT
 
     return shared_rig(hand_of(hand), scene_of(facts), protocol=protocol or LIFT)

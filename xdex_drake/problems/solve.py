@@ -23,7 +23,7 @@ from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.programs.solve import ProgramResult, most_violated, solve
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.lift import lift
+from xdex_drake.simulation.drake import lift
 
 
 @dataclass(frozen=True, eq=False)

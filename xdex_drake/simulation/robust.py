@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.lift import lift
+from xdex_drake.simulation.drake import lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene, with_physics
 
 

@@ -33,7 +33,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
 from xdex_drake.scene.plant import build_plant
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.lift import lift_rig, simulate_lift
+from xdex_drake.simulation.drake import lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 from xdex_drake.visualization.forces import FORCE_COLOR, HandForces, add_arrow, place_arrow
 from xdex_drake.visualization.views import Blobs, best_direction, best_view, frame_blobs, grasp_blobs
