@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from xdex_drake.errors import ConfigError
+
 _log = logging.getLogger(__name__)
 
 PARTIAL = re.compile(r"\.(?P<name>.+)\.(?P<host>[^.]+)\.(?P<pid>\d+)\.[0-9a-f]+\.partial")
@@ -45,6 +47,24 @@ def whole_file(target: Path) -> Iterator[Path]:
         _sync(target.parent)  # the names in it
     except OSError:
         _log.debug("%s: this file system cannot sync a folder", target.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file whole or not at all; its folder is made where it does not exist.
+
+    Args:
+        path: The file.
+        text: Its content.
+
+    Raises:
+        ConfigError: It cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None
 
 
 def _sync(path: Path) -> None:

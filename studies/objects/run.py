@@ -4,22 +4,22 @@
     python studies/objects/run.py shapes --count 200 --out studies/objects/shapes.csv
     python studies/objects/run.py summarize studies/objects/import.csv
 
-Each mesh goes through the command `xdex object import`, each shape through `load_object` by its name. A row is written
-as soon as it is known; what a table already holds is passed over, so that a run can be stopped and taken up again.
+Each mesh goes through the import of `xdex object import`, each shape through `load_object` by its name. A row is
+written as soon as it is known; what a table already holds is passed over, so that a run can be taken up again.
 """
 
 import argparse
 import csv
-import subprocess
-import sys
 import tempfile
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 import xdex_drake as xd
 from xdex_drake.errors import XdexError
+from xdex_drake.jobs.meshes import import_meshes
 from xdex_drake.scene.generator import family_name, shape_name
 from xdex_drake.scene.tabletop import drop, same_pose, stable_poses
 
@@ -45,15 +45,13 @@ def measure(model: xd.ObjectModel) -> dict[str, object]:
 
 
 def imported(mesh: Path) -> dict[str, object]:
-    """One row: what `xdex object import` tells of a mesh, then the measures of what it wrote."""
+    """One row: what the import tells of a mesh, then the measures of what it wrote."""
     with tempfile.TemporaryDirectory() as name:
-        command = [sys.executable, "-m", "xdex_drake", "object", "import", str(mesh), "--out", name]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        (row,) = csv.DictReader((Path(name) / "index.csv").open(encoding="utf-8"))
-        if done.returncode != 0:
-            return {"name": row["name"], "repairs": f"REFUSED: {row['repairs']}"}
-    kept = {column: row[column] for column in COLUMNS["meshes"] if column in row}
-    return kept | measure(xd.load_object(mesh))
+        (done,) = import_meshes([mesh], Path(name))
+    row = asdict(done.row)
+    if done.model is None:
+        return {"name": row["name"], "repairs": f"REFUSED: {row['repairs']}"}
+    return {column: row[column] for column in COLUMNS["meshes"] if column in row} | measure(done.model)
 
 
 def generated(name: str) -> dict[str, object]:

@@ -71,7 +71,7 @@ class Bench:
 
         from xdex_drake.bench.problems import profile_picture
         from xdex_drake.bench.watch import Watch, content, picture
-        from xdex_drake.cli.show import write_text
+        from xdex_drake.whole_file import write_text
 
         torch.set_num_threads(1)
         conditions = {"hand": self.hand, "object": self.object, "repeats": self.repeats}

@@ -178,9 +178,9 @@ class HandBrowse:
     def run(self) -> int:
         """Writes the page."""
         check_output_file(self.html, ".html")
-        from xdex_drake.cli.show import write_text
         from xdex_drake.hand.library import load_hand
         from xdex_drake.visualization.hand_browser import browser_page
+        from xdex_drake.whole_file import write_text
 
         names = _spread(_named(self.hands), max(1, self.most))
         hands = [load_hand(name) for name in names]

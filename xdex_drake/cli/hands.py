@@ -111,9 +111,10 @@ class HandView:
         """Shows the hand until Enter is pressed, or writes the page."""
         if self.html is not None:
             check_output_file(self.html, ".html")
-        from xdex_drake.cli.show import wait_for_enter, write_text
+        from xdex_drake.cli.show import wait_for_enter
         from xdex_drake.hand.library import load_hand
         from xdex_drake.visualization.replay import start_meshcat
+        from xdex_drake.whole_file import write_text
 
         hand = load_hand(self.hand)
         meshcat = start_meshcat(live=self.html is None)

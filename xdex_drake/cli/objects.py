@@ -11,6 +11,8 @@ from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, 
 if TYPE_CHECKING:
     from pydrake.math import RigidTransform
 
+    from xdex_drake.scene.object import PreparationReport
+
 ObjectName = Annotated[str, tyro.conf.arg(metavar="OBJECT")]
 
 
@@ -121,82 +123,35 @@ class ObjectImport:
 
     def run(self) -> int:
         """Imports the files one by one; files that cannot be used are told, and the others are still written."""
-        import csv
-        import io
-
-        import numpy as np
-
-        from xdex_drake.cli.show import write_text
-        from xdex_drake.errors import ConfigError, XdexError
-        from xdex_drake.scene.object import load_object
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.meshes import import_meshes, mesh_files, write_index
 
         if not self.meshes:
             raise ConfigError("no mesh is given; name at least one file or folder")
-        files = [file for path in self.meshes for file in _mesh_files(path)]
+        files = [file for path in self.meshes for file in mesh_files(Path(path))]
         if not files:
             raise ConfigError(
                 f"{self.meshes[0]}: holds no mesh files; give a folder of .obj, .stl, .ply or other meshes"
             )
         check_writable(self.out / "x.obj")
-        rows: list[tuple[object, ...]] = []
-        index: list[tuple[object, ...]] = []
-        told: list[str] = []
-        refused: list[str] = []
-        taken: set[str] = set()
+        done = []
         with keeping_finished_work() as interruption, progress(len(files), "import") as bar:
-            for path in files:
-                try:
-                    model = load_object(path, scale=self.scale)
-                except XdexError as error:
-                    refused.append(str(error))
-                    index.append((path.stem, "", str(path), *[""] * 12, str(error)))
-                else:
-                    name, report = _free_name(model.name, taken), model.report
-                    target = self.out / f"{name}.obj"
-                    _write_obj(target, model.vertices, model.faces)
-                    bulge, gap = 1e3 * report.bulge_p99_m, 1e3 * report.gap_p99_m
-                    rows.append(
-                        (name, model.scale, report.parts, bulge, report.seconds, len(report.repairs), str(target))
-                    )
-                    size = (f"{x:.6f}" for x in np.ptp(model.vertices, axis=0))
-                    figures = (f"{bulge:.3f}", f"{gap:.3f}", f"{report.seconds:.2f}", f"{1e6 * report.volume:.4g}")
-                    wall = "" if report.wall is None else f"{1e3 * report.wall:.3g}"
-                    facts_of = (
-                        f"{model.scale:g}",
-                        *size,
-                        len(model.faces),
-                        report.watertight,
-                        report.parts,
-                        *figures,
-                        wall,
-                    )
-                    index.append((name, target.name, str(path), *facts_of, "; ".join(report.repairs)))
-                    told += [f"{name}: {repair}" for repair in report.repairs]
-                    if bulge > MOST_BULGE_MM:
-                        told.append(f"{name}: its parts stand out of the mesh by {bulge:.2f} mm (p99)")
+            for mesh in import_meshes(files, self.out, scale=self.scale):
+                done.append(mesh)
                 bar.update()
+        rows = [
+            (mesh.row.name, mesh.model.scale, *_fit(mesh.model.report), str(self.out / mesh.row.file))
+            for mesh in done
+            if mesh.model is not None
+        ]
         if rows:
             print(table(rows, ("object", "scale", "parts", "bulge p99 [mm]", "seconds", "repairs", "file")))
-        if told:
+        if told := [remark for mesh in done for remark in mesh.remarks]:
             print("\n" + "\n".join(told))
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(INDEX_COLUMNS)
-        writer.writerows(index)
-        write_text(self.out / "index.csv", text.getvalue())
-        if refused:
+        write_index(self.out / "index.csv", [mesh.row for mesh in done])
+        if refused := [mesh.refused for mesh in done if mesh.refused]:
             raise ConfigError(" | ".join(refused))
         return interruption.status(0)
-
-
-MOST_BULGE_MM = 1.0
-"""Meshes whose parts bulge more are named at import."""
-
-INDEX_COLUMNS = (
-    *("name", "file", "source", "scale", "x_m", "y_m", "z_m", "triangles", "closed", "parts", "bulge_p99_mm"),
-    *("gap_p99_mm", "seconds", "volume_cm3", "wall_mm", "repairs"),
-)
-"""Columns of the index of an imported set; a file that was refused has its error in the last one."""
 
 
 @dataclass(frozen=True)
@@ -221,41 +176,34 @@ class ObjectGenerate:
 
     def run(self) -> int:
         """Builds the shapes one by one and writes them."""
+        from collections import Counter
+
         import numpy as np
-        import trimesh
         from PIL import Image
 
         from xdex_drake.errors import ConfigError, MissingExtra
-        from xdex_drake.scene.generator import family_name, generated_mesh, shape_name
-        from xdex_drake.scene.object import load_object
+        from xdex_drake.jobs.meshes import write_shapes
         from xdex_drake.visualization.pictures import contact_sheet
         from xdex_drake.visualization.shapes import render_shape
+        from xdex_drake.whole_file import write_text
 
         if not 1 <= self.count <= 100_000 or not 0 <= self.seed < 1_000_000_000:
             raise ConfigError("--count must be from 1 to 100000, and --seed from 0 to 999999999")
         check_writable(self.out / "index.csv")
-        lines, pictures, labels, families = ["name,family,x_m,y_m,z_m,volume_m3,triangles"], [], [], {}
+        lines, pictures, labels, families = ["name,family,x_m,y_m,z_m,volume_m3,triangles"], [], [], Counter()
         with keeping_finished_work() as interruption, progress(self.count, "generate") as bar:
-            for index in range(self.count):
-                name = shape_name(self.seed, index)
-                family = family_name(name)
-                vertices, faces = generated_mesh(name)
-                _write_obj(self.out / f"{name}.obj", vertices, faces)
-                x, y, z = np.ptp(vertices, axis=0)
-                volume = float(trimesh.Trimesh(vertices, faces, process=False).volume)
-                lines.append(f"{name},{family},{x:.6f},{y:.6f},{z:.6f},{volume:.9f},{len(faces)}")
-                families[family] = families.get(family, 0) + 1
-                if self.prepare:
-                    load_object(name)
+            for shape in write_shapes(self.count, self.seed, self.out, prepare=self.prepare):
+                x, y, z = np.ptp(shape.vertices, axis=0)
+                size = f"{x:.6f},{y:.6f},{z:.6f}"
+                lines.append(f"{shape.name},{shape.family},{size},{shape.volume_m3:.9f},{len(shape.faces)}")
+                families[shape.family] += 1
                 if len(pictures) < 400:
                     try:
-                        pictures.append(render_shape(vertices, faces))
-                        labels.append(name)
+                        pictures.append(render_shape(shape.vertices, shape.faces))
+                        labels.append(shape.name)
                     except MissingExtra:
                         pass
                 bar.update()
-        from xdex_drake.cli.show import write_text
-
         write_text(self.out / "index.csv", "\n".join(lines) + "\n")
         if pictures:
             Image.fromarray(contact_sheet(pictures, labels, columns=16)).save(self.out / "shapes.png")
@@ -265,34 +213,10 @@ class ObjectGenerate:
         return interruption.status(0)
 
 
-def _mesh_files(path: Path) -> list[Path]:
-    """The mesh files of a folder and its folders, in order; a file is itself."""
-    from xdex_drake.mesh_file import MESH_SUFFIXES
-
-    path = Path(path)
-    if not path.is_dir():
-        return [path]
-    return sorted(p for p in path.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
-
-
-def _free_name(name: str, taken: set[str]) -> str:
-    """A name that no other mesh of the set has."""
-    free, k = name, 2
-    while free in taken:
-        free, k = f"{name}_{k}", k + 1
-    taken.add(free)
-    return free
+def _fit(report: "PreparationReport") -> tuple[int, float, float, int]:
+    """Parts, bulge [mm], seconds and number of repairs."""
+    return report.parts, 1e3 * report.bulge_p99_m, report.seconds, len(report.repairs)
 
 
 def _direction(X_WO: "RigidTransform") -> str:
     return ", ".join(f"{x + 0.0:.2f}" for x in X_WO.rotation().matrix()[2].round(2))
-
-
-def _write_obj(path: Path, vertices: object, faces: object) -> None:
-    import numpy as np
-
-    from xdex_drake.cli.show import write_text
-
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in np.asarray(vertices)]
-    lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(faces) + 1]
-    write_text(path, "\n".join(lines) + "\n")

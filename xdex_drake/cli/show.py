@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, TextIO
 import tyro
 
 from xdex_drake.cli.output import check_output_file, table
-from xdex_drake.whole_file import whole_file
+from xdex_drake.whole_file import write_text
 
 if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
@@ -151,22 +151,6 @@ def write_replays(path: Path, grasps: Sequence[Grasp], hand: Hand, scene: Scene)
     for k, grasp in enumerate(grasps):
         target = path if k == 0 else path.with_name(f"{path.stem}-{k}{path.suffix}")
         write_text(target, replay_lift(grasp, hand, scene))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file that appears whole or not at all.
-
-    Raises:
-        ConfigError: It cannot be written.
-    """
-    from xdex_drake.errors import ConfigError
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another path") from None
 
 
 def wait_for_enter(url: str, stream: TextIO = sys.stdin) -> int:

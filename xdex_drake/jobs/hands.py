@@ -19,7 +19,7 @@ from xdex_drake.hand.generation import GENERATOR, generate_hand, hand_name, topo
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.yaml_file import read_hand, write_hand
 from xdex_drake.jobs.processes import run_units
-from xdex_drake.whole_file import whole_file
+from xdex_drake.whole_file import whole_file, write_text
 
 INDEX = "index.json"
 _JOURNAL = "index.partial.jsonl"
@@ -121,7 +121,7 @@ def generate_hands(
         raise RuntimeError("; ".join(failures))
     ordered = [rows[name] for name in sorted(rows, key=lambda name: int(name.rpartition("-")[2]))]
     content = {"generator": GENERATOR, "seed": seed, "hands": [asdict(row) for row in ordered]}
-    _write(folder / INDEX, json.dumps(content, indent=1) + "\n")
+    write_text(folder / INDEX, json.dumps(content, indent=1) + "\n")
     (folder / _JOURNAL).unlink(missing_ok=True)
     return [rows[name] for name in wanted]
 
@@ -140,14 +140,6 @@ def _make(seed: int, folder: str, indices: tuple[int, ...]) -> list[HandRow]:
 
 def _ignore(done: int) -> None:
     """Does nothing with a count."""
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        with whole_file(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
 
 
 def _append(path: Path, lines: Iterable[dict[str, object]]) -> None:

@@ -25,7 +25,7 @@ from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 from xdex_drake.visualization.pictures import Image, can_render, render_grasp
 from xdex_drake.visualization.replay import record_lift
-from xdex_drake.whole_file import whole_file
+from xdex_drake.whole_file import write_text
 
 _log = logging.getLogger(__name__)
 
@@ -168,17 +168,12 @@ def write_report(
         for section in sections:
             for shown in section.grasps:
                 if shown.replay:
-                    _write(folder / links[id(shown)], shown.replay)
+                    write_text(folder / links[id(shown)], shown.replay)
         index = folder / "index.html"
-        _write(index, _page(sections, links, title, intro, protocol, seed, command))
+        write_text(index, _page(sections, links, title, intro, protocol, seed, command))
     except OSError as error:
         raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}; choose another folder") from None
     return index
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
 
 
 def _replay_names(sections: Sequence[ReportSection]) -> dict[int, str]:
