@@ -43,12 +43,12 @@ def least_forces(grasp: "Grasp", scene: "Scene", factor: float, load: float) -> 
     """
     import cvxpy as cp
 
-    from xdex_drake.contact.certificate import contact_geometry
+    from xdex_drake.contact.held_object import HeldObject
 
     assert grasp.certificate is not None
     contacts = grasp.certificate.contacts
     p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
-    _, G = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), scene.object.p_OOcm)
+    G = HeldObject.of(scene).grasp_map(p_OCs, n_OCs).G
     f = cp.Variable((len(contacts), 3))
     scale = np.array([1e2, 1e2, 1e2, 1.0, 1.0, 1.0])  # torques in N cm
     constraints: list = [(scale[:, None] * G) @ cp.vec(f, order="C") == np.array([0.0, 0.0, 0.0, 0.0, 0.0, load])]

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 import xdex_drake as xd
-from xdex_drake.contact import contact_geometry, epsilon_linearized
+from xdex_drake.contact import certified_map, epsilon_linearized
 from xdex_drake.grasping.finish import GIVEN, Demands, finish_grasp
 from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.squeeze import squeeze_by_rule
@@ -84,12 +84,10 @@ def rows_of(population: str, hand_name: str, object_name: str, count: int) -> It
     for grasp in itertools.islice(POPULATIONS[population](hand, scene), count):
         margins = dict.fromkeys(MARGINS, 0.0)
         if (proof := grasp.certificate) is not None:
-            points, normals = np.array([c.p_OC for c in proof.contacts]), np.array([c.n_OC for c in proof.contacts])
-            G = contact_geometry(points, normals, proof.R_WO, proof.p_OOcm)[1]
             margins = {
                 "task_margin": proof.task_margin,
                 "ball_margin": proof.margin_lower,
-                "epsilon": epsilon_linearized(G, proof.contacts[0].mu, length=proof.length),
+                "epsilon": epsilon_linearized(certified_map(proof)),
                 "friction_left": proof.friction_left,
             }
         verdicts = simulate_lift(rig, grasp), lift(grasp, hand, hard_scene, protocol=hard)

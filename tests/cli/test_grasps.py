@@ -4,13 +4,18 @@ import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
 from xdex_drake.cli import main
 from xdex_drake.dataset.files import load_grasps
 from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
-from xdex_drake.jobs.grasps import BatchResult, GraspRequest, RequestTally, synthesize_batches
+from xdex_drake.grasping.tally import Tally
+from xdex_drake.jobs.grasps import BatchResult, GraspRequest, synthesize_batches
+from xdex_drake.scene.facts import SceneFacts
+from xdex_drake.scene.object import load_object
+from xdex_drake.scene.tabletop import make_scene
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +86,8 @@ def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):
     finished = tuple(item.grasp for item in load_grasps(grasps))
 
     def interrupted(request, *, count, workers, time_limit_s, tally):
-        result = BatchResult(0, finished[:1], 5, {"cone": 4}, 0.0, 1.0)
-        tally.add(result)
+        result = BatchResult(finished[:1], Tally(5, 1, 1, Counter(cone=4)), 0.0)
+        tally.merge(result.tally)
         yield result
         raise KeyboardInterrupt
 
@@ -141,10 +146,10 @@ def test_a_data_set_resumes_and_verifies(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_two_workers_find_what_one_finds():
-    request = GraspRequest("ability", "can", seed=3)
+    request = GraspRequest("ability", SceneFacts.of(make_scene(load_object("can"))), seed=3)
 
     def found(workers: int) -> tuple[list, int]:
-        tally = RequestTally()
+        tally = Tally()
         batches = synthesize_batches(request, count=3, workers=workers, time_limit_s=600.0, tally=tally)
         return [(g.grasp_id, g.q.tolist()) for batch in batches for g in batch.grasps], tally.tried
 

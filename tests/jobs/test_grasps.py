@@ -1,44 +1,45 @@
-"""A lift whose process crashes costs only itself, and is never a success."""
+"""A unit whose process crashes costs only itself; a lift that is lost is never a success."""
 
 import math
 import os
-from dataclasses import dataclass
 
+import pytest
+
+from xdex_drake.errors import ConfigError
 from xdex_drake.jobs.ordered import in_order
+from xdex_drake.jobs.processes import Failure, FailureKind
 from xdex_drake.jobs.stored import LiftUnit, lost_lift
 
 
-@dataclass(frozen=True)
-class Unit:
-    """Stands for a lift."""
-
-    index: int
-    protocol: str = "lift-0.2/2tips"
-    robust: int = 0
-
-
-def lost(unit, failure):
-    return lost_lift(unit, failure)
-
-
 def work(unit):
-    if unit.index == 2:
+    if unit == 2:
         os.abort()
-    return f"lift {unit.index}"
+    return f"lift {unit}"
 
 
-def test_a_crash_costs_one_lift_and_the_order_stays():
-    units = [Unit(k) for k in range(5)]
-    done = list(in_order(units, work, workers=2, lost=lost))
-    assert [unit.index for unit, _ in done] == [0, 1, 2, 3, 4]
-    assert [value for unit, value in done if unit.index != 2] == ["lift 0", "lift 1", "lift 3", "lift 4"]
-    verdict = done[2][1]
-    assert not verdict.success and verdict.failure_reason == "simulation_failed"
-    assert math.isnan(verdict.lift_height_m)
-    assert [unit.index for unit, _ in in_order(units, work, workers=2)] == [0, 1, 3, 4]
+def refuse(unit):
+    raise ConfigError(f"unit {unit}: give another")
 
 
-def test_a_lift_out_of_time_is_a_timeout():
-    unit: LiftUnit = Unit(0, robust=3)  # type: ignore[assignment]
-    verdict = lost_lift(unit, "timeout: more than 300 s")
-    assert verdict.failure_reason == "timeout" and verdict.protocol == "robust:lift-0.2/2tips"
+def test_a_crash_costs_one_unit_and_the_order_stays():
+    done = list(in_order(range(5), work, workers=2))
+    assert [result.unit for result in done] == [0, 1, 2, 3, 4]
+    assert [result.value for result in done] == ["lift 0", "lift 1", None, "lift 3", "lift 4"]
+    assert done[2].failure is not None and done[2].failure.kind is FailureKind.CRASHED
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_input_that_cannot_be_used_is_an_error_of_ours(workers):
+    with pytest.raises(ConfigError, match="unit 0: give another"):
+        list(in_order(range(3), refuse, workers=workers))
+
+
+@pytest.mark.parametrize(
+    ("kind", "robust", "reason"),
+    [(FailureKind.CRASHED, 0, "simulation_failed"), (FailureKind.TIMEOUT, 3, "timeout")],
+)
+def test_a_lost_lift_has_failed(kind, robust, reason):
+    unit = LiftUnit(0, None, None, "allegro", robust=robust)  # type: ignore[arg-type]
+    verdict = lost_lift(unit, Failure(kind, "what happened"))
+    assert not verdict.success and verdict.failure_reason == reason and math.isnan(verdict.lift_height_m)
+    assert verdict.protocol == ("robust:lift-0.2/2tips" if robust else "lift-0.2/2tips")

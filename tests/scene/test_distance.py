@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from xdex_drake.scene.convex_parts import convex_hull, grow
 from xdex_drake.scene.distance import ExactDistance, build_grid, sample_surface, union_surface
+from xdex_drake.scene.hulls import convex_hull, grow
 
 HALF = np.array([0.03, 0.02, 0.04])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from xdex_drake.contact.certificate import check_certificate, contact_geometry
+from xdex_drake.contact import HeldObject, check_certificate
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.pregrasp import CLEARANCE, pregrasp
 from xdex_drake.grasping.squeeze import RULE_CLOSING, squeeze, squeeze_by_rule
@@ -197,7 +197,7 @@ def pressing(grasp, hand, scene, factor):
     cp = pytest.importorskip("cvxpy")
     contacts = grasp.certificate.contacts
     p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
-    _, G = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), scene.object.p_OOcm)
+    G = HeldObject.of(scene).grasp_map(p_OCs, n_OCs).G
     load = scene.object.mass * (9.81 + 6.0 * LIFT.rise_m / LIFT.rise_s**2)
     f = cp.Variable((len(contacts), 3))
     scale = np.array([1e2, 1e2, 1e2, 1.0, 1.0, 1.0])

@@ -6,15 +6,7 @@ import numpy as np
 
 from xdex_drake import contact
 from xdex_drake.bench.watch import Tick, Watch
-from xdex_drake.contact.conic import (
-    cone_rows,
-    diagonal,
-    full_matrix,
-    holding_forces,
-    program_cones,
-    solve_conic,
-    torque_scaling,
-)
+from xdex_drake.contact.conic import cone_rows, diagonal, full_matrix, program_cones, solve_conic
 
 RADIUS, MASS, MU = 0.035, 0.1, 0.6
 SIDES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
@@ -32,17 +24,23 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
     """
     rng = np.random.default_rng(seed)
     gravity, pushes = contact.gravity_wrench(MASS), contact.push_wrenches(MASS)
+    held = contact.HeldObject(MASS, RADIUS, np.zeros(3), MU, np.eye(3))
     for n in (3, 4, 6):
         for _ in range(repeats):
             out = rng.normal(size=(n, 3)) + 1.5 * SIDES[:n]
             out /= np.linalg.norm(out, axis=1, keepdims=True)
-            R_WCs, G = contact.contact_geometry(RADIUS * out, -out, np.eye(3), np.zeros(3))
+            R_WCs, G = contact.contact_frames(-out), held.grasp_map(RADIUS * out, -out).G
             A = np.zeros((3 * n, 3 * n))
             for i in range(n):  # a finger of three joints, 10 cm from root to tip, under each contact
                 A[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(scale=0.05, size=(3, 3)) @ R_WCs[i]
-            within = {"A": A, "effort": np.full(3 * n, 0.7), "length": RADIUS}
-            program = _program(G, gravity)
+            effort = contact.Effort(A, np.full(3 * n, 0.7))
+            program = _program(contact.GraspMap(G, MU, RADIUS), gravity)
             four = n == 4
+
+            # A grasp map keeps what programs share, so each run has one of its own.
+            def new(G: np.ndarray = G) -> contact.GraspMap:
+                return contact.GraspMap(G, MU, RADIUS)
+
             watch.time_often(
                 f"balance, {n} contacts, solver alone",
                 lambda p=program: solve_conic(*p),
@@ -50,34 +48,30 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
             )
             watch.time_often(
                 f"balance, {n} contacts",
-                lambda G=G: contact.balance(G, MU, gravity, length=RADIUS),
+                lambda new=new: contact.balance(new(), gravity),
                 target_ms=0.6 if four else None,
             )
-            watch.time_often(f"balance within efforts, {n}", lambda G=G, w=within: contact.balance(G, MU, gravity, **w))
+            watch.time_often(f"balance with pyramids, {n}", lambda new=new: contact.balance_linearized(new(), gravity))
+            watch.time_often(
+                f"balance within efforts, {n}",
+                lambda new=new, effort=effort: contact.balance(new(), gravity, effort=effort),
+            )
             watch.time_often(
                 f"task margin, six pushes, {n}",
-                lambda G=G, w=within: contact.task_margin(
-                    G, MU, gravity, pushes, w["A"], w["effort"], length=w["length"]
-                ),
+                lambda new=new, effort=effort: contact.task_margin(new(), gravity, pushes, effort=effort),
             )
             ball = watch.time_often(
                 f"ball margin to 1e-3, {n}",
-                lambda G=G: contact.ball_margin(G, MU, length=RADIUS),
+                lambda new=new: contact.ball_margin(new()),
                 target_ms=5.0 if four else None,
             )
             bracket = ball.upper - ball.lower
             watch.facts["widest bracket"] = max(watch.facts.get("widest bracket", 0.0), bracket)
+            links = [f"finger {i}" for i in range(n)]
             result = watch.time_often(
                 f"certificate, {n}",
-                lambda out=out, w=within: contact.certify(
-                    RADIUS * out,
-                    -out,
-                    [f"finger {i}" for i in range(len(out))],
-                    mu=MU,
-                    mass=MASS,
-                    p_OOcm=np.zeros(3),
-                    R_WO=np.eye(3),
-                    **w,
+                lambda out=out, links=links, effort=effort: contact.certify(
+                    RADIUS * out, -out, links, held, effort=effort
                 ),
             )
             if result.certificate is not None:
@@ -92,11 +86,10 @@ def bench_wrench(watch: Watch, *, repeats: int, seed: int, tick: Tick) -> None:
             tick()
 
 
-def _program(G: np.ndarray, F: np.ndarray) -> tuple:
+def _program(grasp_map: contact.GraspMap, F: np.ndarray) -> tuple:
     """Arguments of `solve_conic` for the balance program."""
-    n, scaling = G.shape[1] // 3, torque_scaling(RADIUS)
-    holding = holding_forces(scaling[:, None] * G)
-    f, mus = holding.of(scaling * F / np.linalg.norm(F)), np.full(n, MU)
+    n, holding, mus = grasp_map.contacts, grasp_map.holding, grasp_map.mus
+    f = holding.of(grasp_map.scaling * F / np.linalg.norm(F))
     m = holding.null.shape[1]
     rows, right = full_matrix(-cone_rows(mus, holding.null)), cone_rows(mus, f)
     return diagonal(np.ones(m)), np.zeros(m), rows, right, list(program_cones(0, n))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,6 @@ import tyro
 
 from xdex_drake.cli.output import (
     check_output_file,
-    counts,
     facts,
     keeping_finished_work,
     one_thread,
@@ -22,6 +22,7 @@ from xdex_drake.cli.output import (
 )
 
 if TYPE_CHECKING:
+    from xdex_drake.dataset.files import StoredGrasp
     from xdex_drake.grasp import Grasp
 
 
@@ -67,7 +68,8 @@ class GraspCommand:
         """Makes the grasps, writes them, prints the closing table."""
         one_thread()
         from xdex_drake.errors import ConfigError
-        from xdex_drake.jobs.grasps import GraspRequest, RequestTally, synthesize_batches
+        from xdex_drake.grasping.tally import Tally, counted
+        from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
 
         for name in ("count", "workers"):
             if getattr(self, name) < 1:
@@ -83,6 +85,7 @@ class GraspCommand:
         from xdex_drake.dataset.files import save_grasps
         from xdex_drake.hand.library import load_hand
         from xdex_drake.programs.obstacles import find_obstacles, sizes
+        from xdex_drake.scene.facts import SceneFacts
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
 
@@ -95,10 +98,8 @@ class GraspCommand:
             print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
             return 1
         preparation = time.perf_counter() - begin
-        request = GraspRequest(
-            self.hand, self.object, model.scale, self.mass, self.friction, self.scene_seed, self.seed
-        )
-        tally = RequestTally()
+        request = GraspRequest(self.hand, SceneFacts.of(scene), self.seed)
+        tally, batches_done = Tally(), 0
         kept: list[Grasp] = []
         lifted = 0
         # One or two grasps are the work of one batch.
@@ -116,12 +117,12 @@ class GraspCommand:
                         lifted += 1
                         bar.update()
                 bar.set_postfix(tried=tally.tried, certified=tally.certified)
-                if tally.batches == 1 and not tally.certified:
+                batches_done += 1
+                if batches_done == 1 and not tally.certified:
                     told = f"none of the first {tally.tried} candidates is a grasp; {_why(tally.rejected)}"
                     bar.write(f"{told}; going on for up to {self.time_limit:g} s", file=sys.stderr)
         if kept:
             save_grasps(self.out, kept, hand, scene, hand_path=self.hand if Path(self.hand).suffix else None)
-        rate = f"{100.0 * tally.lifted / tally.certified:.0f} %" if tally.certified else "-"
         print(
             facts(
                 [
@@ -130,12 +131,12 @@ class GraspCommand:
                     ("tried", tally.tried),
                     ("certified", tally.certified),
                     ("lifted", tally.lifted),
-                    ("lifted of certified", rate),
+                    ("lifted of certified", tally.rate),
                     ("seconds", f"{tally.seconds:.1f}"),
                     ("preparation seconds", f"{preparation:.1f}"),
-                    ("rejected by", counts(tally.rejected)),
-                    ("failed by", counts(tally.failed)),
-                    *([("lost batches", len(tally.crashed))] if tally.crashed else []),
+                    ("rejected by", counted(tally.rejected)),
+                    ("failed by", counted(tally.failed)),
+                    *([("lost batches", len(tally.lost))] if tally.lost else []),
                     ("written", f"{len(kept)} to {self.out}" if kept else "nothing"),
                 ]
             )
@@ -152,7 +153,7 @@ class GraspCommand:
 
 def _why(rejected: Mapping[str, int]) -> str:
     """What candidates were rejected for most often, in words."""
-    from xdex_drake.programs.obstacles import in_words
+    from xdex_drake.grasping.reasons import in_words
 
     most = max(rejected, key=lambda reason: rejected[reason], default="")
     return f"most often, {in_words(most)}" if most else "nothing was tried"
@@ -183,44 +184,30 @@ class Retarget:
         """Retargets, writes, prints a line a hand."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps, rows_of
+        from xdex_drake.dataset.files import hand_paths_entry
         from xdex_drake.dataset.grasp_file import write_grasps
+        from xdex_drake.dataset.rows import rows_of
         from xdex_drake.errors import ConfigError
+        from xdex_drake.grasping.tally import Tally
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.jobs.ordered import in_order
-        from xdex_drake.jobs.stored import RetargetUnit, run_retarget
+        from xdex_drake.jobs.stored import retarget_all, retarget_units
 
         if not self.to:
             raise ConfigError("--to names no hand; give at least one")
         targets = {target: load_hand(target) for target in self.to}
-        stored = load_grasps(self.file)
-        if not stored:
-            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
-        paths = hand_paths(self.file)
-        units = [
-            RetargetUnit(k, item.grasp, item.facts, paths.get(item.hand.name, item.hand.name), target)
-            for target in self.to
-            for k, item in enumerate(stored)
-        ]
+        stored = _grasps_of(self.file)
+        units = retarget_units(stored, self.to)
         rows = []
-        tallies = {target: [0, 0, 0, {}, {}, 0.0] for target in self.to}
+        tallies = {target: Tally() for target in self.to}
         begin = time.perf_counter()
         with keeping_finished_work() as interruption, progress(len(units), "retarget") as bar:
-            for unit, outcome in in_order(units, run_retarget, workers=max(1, self.workers)):
-                tally = tallies[unit.target]
-                tally[0] += 1
+            for unit, outcome in retarget_all(units, workers=max(1, self.workers)):
+                tallies[unit.target].add(outcome)
                 bar.update()
                 grasp = outcome.grasp
-                if grasp is None:
-                    tally[3][outcome.reason] = tally[3].get(outcome.reason, 0) + 1
+                if grasp is None or grasp.lift is None:
                     continue
-                tally[1] += 1
-                tally[5] += grasp.seconds
-                assert grasp.lift is not None
-                if grasp.lift.success:
-                    tally[2] += 1
-                else:
-                    tally[4][grasp.lift.failure_reason] = tally[4].get(grasp.lift.failure_reason, 0) + 1
+                tallies[unit.target].seconds += grasp.seconds
                 if grasp.lift.success or self.keep_failed:
                     item = stored[unit.index]
                     points = {item.grasp.grasp_id: item.row["object_point_O"]}
@@ -228,15 +215,11 @@ class Retarget:
         if rows:
             files = {hand.name: target for target, hand in targets.items() if Path(target).suffix}
             write_grasps(self.out, rows, metadata=hand_paths_entry(files))
-        lines = [
-            (target, tried, certified, lifted, seconds / max(1, certified), counts(rejected), counts(failed))
-            for target, (tried, certified, lifted, rejected, failed, seconds) in tallies.items()
-        ]
-        header = ("hand", "tried", "certified", "lifted", "s a grasp", "rejected by", "failed by")
-        print(table(lines, header))
+        lines = [(target, *t.row(), t.seconds / max(1, t.certified)) for target, t in tallies.items()]
+        print(table(lines, ("hand", "tried", "certified", "lifted", "rejected by", "failed by", "s a grasp")))
         print(f"{len(rows)} of {len(units)} written to {self.out}" if rows else "nothing written")
         print(f"{time.perf_counter() - begin:.1f} s")
-        return interruption.status(0 if any(line[3] for line in lines) else 1)
+        return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
 
 
 @dataclass(frozen=True)
@@ -266,58 +249,54 @@ class LiftCommand:
         """Lifts, writes, prints a line a hand and object."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps
+        from xdex_drake.dataset.files import hand_paths, hand_paths_entry
         from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.errors import ConfigError
-        from xdex_drake.jobs.ordered import in_order
-        from xdex_drake.jobs.stored import LiftUnit, lost_lift, run_lift
+        from xdex_drake.grasping.tally import Tally, counted
+        from xdex_drake.jobs.stored import lift_all, lift_units
         from xdex_drake.simulation.protocol import find_protocol
 
         protocol = find_protocol(self.protocol)
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
-        stored = load_grasps(self.file)
-        if not stored:
-            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
+        stored = _grasps_of(self.file)
         unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:
             raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze; make it with `xdex grasp`")
-        paths = hand_paths(self.file)
-        units = [
-            LiftUnit(
-                k,
-                item.grasp,
-                item.facts,
-                paths.get(item.hand.name, item.hand.name),
-                protocol=self.protocol,
-                robust=self.robust,
-            )
-            for k, item in enumerate(stored)
-        ]
-        # Lifts of one hand and scene in a row, which share a plant.
-        units.sort(key=lambda unit: (unit.hand, unit.scene.scene_id))
+        units = lift_units(stored, protocol=self.protocol, robust=self.robust)
         rows = {}
-        tallies: dict[tuple[str, str], list] = {}
+        tallies: dict[tuple[str, str], Tally] = {}
+        same: Counter[tuple[str, str]] = Counter()
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
-            for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
+            for unit, verdict in lift_all(units, workers=max(1, self.workers)):
                 row = stored[unit.index].row
-                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, 0, {}])
-                tally[0] += 1
-                tally[1] += verdict.success
-                tally[2] += verdict.passed
-                tally[3] += verdict.success == row["success"]
-                if not verdict.passed:
-                    reason = verdict.failure_reason or (verdict.hold.reason if verdict.hold else "")
-                    tally[4][reason] = tally[4].get(reason, 0) + 1
+                key = (row["hand"], row["object"])
+                tallies.setdefault(key, Tally()).add_lift(verdict)
+                same[key] += verdict.success == row["success"]
                 rows[unit.index] = {**row, **lift_columns(verdict)}
                 bar.update()
         if rows:
-            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(paths))
-        lines = [(*key, *tally[:4], counts(tally[4])) for key, tally in tallies.items()]
-        header = ["hand", "object", "grasps", "lifted", "held", "as before", "failed by"]
-        if protocol.hold is None:  # Nothing is held then but what is lifted.
-            lines, header = [(*line[:4], *line[5:]) for line in lines], [*header[:4], *header[5:]]
+            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(hand_paths(self.file)))
+        header = ["hand", "object", "grasps", "lifted", "as before", "failed by"]
+        lines = [
+            [*key, t.lifted + t.failed.total(), t.lifted, same[key], counted(t.failed)] for key, t in tallies.items()
+        ]
+        if protocol.hold is not None:
+            header += ["held", "dropped by"]
+            for line, tally in zip(lines, tallies.values(), strict=True):
+                line += [tally.lifted - tally.dropped.total(), counted(tally.dropped)]
         print(table(lines, header))
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
-        return interruption.status(0 if any(line[3] for line in lines) else 1)
+        return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
+
+
+def _grasps_of(file: Path) -> list[StoredGrasp]:
+    """The grasps of a file, at least one."""
+    from xdex_drake.dataset.files import load_grasps
+    from xdex_drake.errors import ConfigError
+
+    stored = load_grasps(file)
+    if not stored:
+        raise ConfigError(f"{file}: holds no grasps; make some with `xdex grasp`")
+    return stored

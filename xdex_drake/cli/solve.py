@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from xdex_drake.cli.output import check_output_file, counts, facts, one_thread, table
+from xdex_drake.cli.output import check_output_file, facts, one_thread, table
 
 if TYPE_CHECKING:
     from xdex_drake.problems.wrench import WrenchProblem
@@ -45,9 +46,11 @@ class Solve:
             check_output_file(self.html, ".html")
         from xdex_drake.data_files import data_folder
         from xdex_drake.errors import ConfigError
+        from xdex_drake.grasping.reasons import in_words
+        from xdex_drake.grasping.tally import counted
         from xdex_drake.problems.files import list_problems, load_any_problem
         from xdex_drake.problems.wrench import WrenchProblem as ContactsAlone
-        from xdex_drake.programs.obstacles import in_words, sizes
+        from xdex_drake.programs.obstacles import sizes
         from xdex_drake.programs.solve import SOLVERS
 
         if not self.problem:
@@ -62,7 +65,6 @@ class Solve:
         if isinstance(problem, ContactsAlone):
             return self._wrench(problem)
         changed = replace(problem, seed=problem.seed if self.seed is None else self.seed, solver=_solver(self, problem))
-        object.__setattr__(changed, "path", problem.path)
         from xdex_drake.problems.solve import solve_problem
 
         solution = solve_problem(changed)
@@ -73,7 +75,7 @@ class Solve:
         lines: list[tuple[str, object]] = [
             ("status", result.status if result.success else f"{result.status} by {in_words(result.worst)}"),
             ("solver", f"{result.solver}, {1e3 * result.seconds:.0f} ms, {_iterations(result.iterations)}"),
-            ("starts tried", f"{solution.tried}; failed by {counts(solution.violated)}"),
+            ("starts tried", f"{solution.tried}; failed by {counted(Counter(solution.violated))}"),
         ]
         if grasp is None:
             lines.append(("grasp", f"none: {solution.reason}"))

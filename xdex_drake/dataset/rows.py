@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from xdex_drake.dataset.schema import ObjectFacts, Row, row_from_grasp
 from xdex_drake.grasp import Grasp
@@ -12,22 +15,22 @@ from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 OBJECT_POINTS = 2048
 """Surface points among which a grasp's object point is chosen."""
 
 
-def object_facts(obj: ObjectModel, path: str) -> ObjectFacts:
+def object_facts(obj: ObjectModel) -> ObjectFacts:
     """What rows say about an object.
 
     Args:
         obj: The object.
-        path: Library name or path by which it was loaded.
 
     Returns:
         The facts.
     """
+    path = obj.name if obj.path is None else str(obj.path)
     return ObjectFacts(obj.name, path, obj.digest, obj.scale, obj.mass, obj.friction, obj.p_OOcm, obj.length)
 
 
@@ -38,35 +41,46 @@ def grasp_object_point(hand: Hand, grasp: Grasp, scene: Scene) -> Array:
     return points_O[object_point(hand, R_WLs, p_WLs, (scene.X_WO @ points_O.T).T)]
 
 
-def rows_of_scene(
-    grasps: list[Grasp], hands: dict[str, Hand], scene: Scene, path: str, digests: dict[str, str] | None = None
+def rows_of(
+    grasps: Iterable[Grasp],
+    hand: Hand,
+    scene: Scene,
+    *,
+    source_points: Mapping[str, Sequence[float] | Array] | None = None,
+    protocol: LiftProtocol = LIFT,
 ) -> list[Row]:
-    """Rows of grasps of one scene, with the object points that condition the model.
+    """Rows of grasps by one hand in one scene, with the object points that condition the model.
 
     Args:
-        grasps: Grasps; a retargeted one comes after its source.
-        hands: Their hands by name.
+        grasps: The grasps.
+        hand: Their hand.
         scene: Their scene.
-        path: Library name or path of the object.
-        digests: Digest of each hand by name; computed where None.
+        source_points: Object point, in O [m], of each source grasp by its identifier, for retargeted grasps.
+        protocol: The protocol whose gains the squeeze targets are for.
 
     Returns:
-        One row a grasp.
+        The rows, ready for `grasp_file.write_grasps`.
     """
-    facts = object_facts(scene.object, path)
-    digests = digests or {name: hand_digest(hand) for name, hand in hands.items()}
-    points = {grasp.grasp_id: grasp_object_point(hands[grasp.hand], grasp, scene) for grasp in grasps}
-    return [
-        row_from_grasp(
-            # Times differ from run to run; rows do not.
-            replace(grasp, seconds=0.0, lift=None if grasp.lift is None else replace(grasp.lift, seconds=0.0)),
-            scene_id=scene.scene_id,
-            hand=hands[grasp.hand],
-            hand_digest=digests[grasp.hand],
-            object=facts,
-            gains=(LIFT.plant.kp, LIFT.plant.kd),
-            object_point_O=points[grasp.grasp_id],
-            source_object_point_O=points.get(grasp.source_grasp_id or grasp.grasp_id),
+    digest, facts = hand_digest(hand), object_facts(scene.object)
+    rows = []
+    for grasp in grasps:
+        point = grasp_object_point(hand, grasp, scene)
+        source = (source_points or {}).get(grasp.source_grasp_id) if grasp.source_grasp_id else point
+        rows.append(
+            row_from_grasp(
+                grasp,
+                scene_id=scene.scene_id,
+                hand=hand,
+                hand_digest=digest,
+                object=facts,
+                gains=(protocol.plant.kp, protocol.plant.kd),
+                object_point_O=point,
+                source_object_point_O=None if source is None else np.asarray(source, dtype=float),
+            )
         )
-        for grasp in grasps
-    ]
+    return rows
+
+
+def timeless(grasp: Grasp) -> Grasp:
+    """The grasp without the times that it took, which differ from run to run where rows shall not."""
+    return replace(grasp, seconds=0.0, lift=None if grasp.lift is None else replace(grasp.lift, seconds=0.0))

@@ -8,13 +8,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from xdex_drake.contact.certificate import certify, contact_geometry
-from xdex_drake.contact.cones import effort_map
+from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.cones import contact_frames, effort_map
+from xdex_drake.contact.grasp_map import Effort
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Array, Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
 from xdex_drake.grasping.pregrasp import pregrasp
+from xdex_drake.grasping.proposers import Candidate
+from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.grasping.squeeze import squeeze
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
@@ -63,12 +67,11 @@ class Outcome:
 
     Attributes:
         grasp: The certified grasp, None where there is none.
-        reason: Why there is none: the constraint that could not be met, "certificate: ...", "task margin",
-            "penetration", "pregrasp" (no clearance), or "approach" (no straight way of 10 cm to the pre-grasp).
+        reason: Why there is none; None where there is one.
     """
 
     grasp: Grasp | None
-    reason: str
+    reason: Rejection | None = None
 
 
 @lru_cache(maxsize=8)
@@ -110,36 +113,25 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     Returns:
         The grasp, or the reason why there is none.
     """
-    scene, k, obj = point.scene, point.k, point.scene.object
+    scene, k = point.scene, point.k
     R_OW = scene.X_WO.rotation().matrix().T
     p_WCs, n_WCs = point.exact_contacts()
     p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
     n_OCs = n_WCs @ R_OW.T
     links = [hand.links[link].name for link in point.contacts.links]
-    weight = obj.mass * 9.81
+    held = HeldObject.of(scene)
+    J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
+    effort = Effort(effort_map(J, held.R_WO @ contact_frames(n_OCs)), hand.effort)
     result = None
     for safety, least in demands.squeezes:
-        result = certify(
-            p_OCs,
-            n_OCs,
-            links,
-            mu=obj.friction,
-            mass=obj.mass,
-            p_OOcm=obj.p_OOcm,
-            length=obj.length,
-            R_WO=scene.X_WO.rotation().matrix(),
-            A=_effort_map(k, point, p_WCs, p_OCs, n_OCs),
-            effort=hand.effort,
-            safety=safety,
-            min_normal=least * weight,
-        )
+        result = certify(p_OCs, n_OCs, links, held, effort=effort, safety=safety, min_normal=least * held.weight)
         if result.certificate is not None:
             break
     assert result is not None
     if result.certificate is None:
-        return Outcome(None, f"certificate: {result.reason}")
+        return Outcome(None, Rejection(Reason.CERTIFICATE, result.reason))
     if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
-        return Outcome(None, "task margin")
+        return Outcome(None, Rejection(Reason.TASK_MARGIN))
     rested = rest_idle_fingers(hand, scene, k, links)
     outcome = prepared(hand, scene, rested, result.certificate, protocol=protocol, demands=demands)
     if outcome.grasp is None and rested is not k:
@@ -166,12 +158,12 @@ def prepared(
     """
     depth_parts, depth_mesh = penetrations(hand, k, scene)
     if depth_parts > demands.penetration_m:
-        return Outcome(None, "penetration")
+        return Outcome(None, Rejection(Reason.PENETRATION))
     opened = pregrasp(hand, scene, k.X_WH, k.q)
     if opened.clearance < 1e-3:
-        return Outcome(None, "pregrasp")
+        return Outcome(None, Rejection(Reason.PREGRASP))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
-        return Outcome(None, "approach")
+        return Outcome(None, Rejection(Reason.APPROACH))
     grasp = Grasp(
         hand=hand.name,
         object=scene.object.name,
@@ -184,13 +176,7 @@ def prepared(
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp), "")
-
-
-def _effort_map(k: Configuration, point: Point, p_WCs: Array, p_OCs: Array, n_OCs: Array) -> Array:
-    """A = C^T J^T in the certificate's contact frames, shape (n, 3 nc)."""
-    R_WCs, _ = contact_geometry(p_OCs, n_OCs, point.scene.X_WO.rotation().matrix(), point.scene.object.p_OOcm)
-    return effort_map(k.jacobian(point.contacts.links, p_WCs)[:, :, 6:], R_WCs)
+    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp))
 
 
 def polish(
@@ -205,8 +191,42 @@ def polish(
     # Posture and effort are preferences, not goals: the first point that holds is as good as the nearest one.
     result = solve(program, solver=solver, improvement=np.inf)
     if not result.success:
-        return Outcome(None, result.worst)
+        return Outcome(None, Rejection(Reason.CONSTRAINT, result.worst))
     outcome = finish_grasp(program.hand, result.point, protocol=protocol, demands=demands)
     if outcome.grasp is None:
         return outcome
-    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start), "")
+    return Outcome(replace(outcome.grasp, seconds=time.perf_counter() - start))
+
+
+def finish(
+    candidate: Candidate,
+    *,
+    solver: str = "sequential",
+    protocol: LiftProtocol = LIFT,
+    demands: Demands = GIVEN,
+) -> Outcome:
+    """Makes of a candidate a certified grasp, or says why there is none.
+
+    Args:
+        candidate: The candidate; its programs are solved in turn.
+        solver: Solver of the programs.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The first program's grasp, named by the candidate, its share of the proposer's time included; where no program
+        ends in a grasp, the last one's reason.
+    """
+    outcome = None
+    for program in candidate.programs():
+        outcome = polish(program, solver=solver, protocol=protocol, demands=demands)
+        if outcome.grasp is not None:
+            grasp = replace(
+                outcome.grasp,
+                grasp_id=candidate.name,
+                source_grasp_id=candidate.source_grasp_id,
+                seconds=outcome.grasp.seconds + candidate.seconds,
+            )
+            return Outcome(grasp)
+    assert outcome is not None, "a candidate has at least one program"
+    return outcome

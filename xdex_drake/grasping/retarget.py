@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from xdex_drake.grasp import Grasp
-from xdex_drake.grasping.finish import Outcome, polish
+from xdex_drake.grasping.finish import Outcome, finish
+from xdex_drake.grasping.proposers import Retarget
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
-from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
@@ -35,16 +33,5 @@ def retarget(
     Returns:
         The target's grasp, not lifted yet, or the reason why there is none.
     """
-    program = retargeting_program(grasp, source_hand, target, scene, settings=settings)
-    outcome = polish(program, protocol=protocol)
-    if outcome.grasp is None:
-        # Hands that differ much start deep in the object, from where local convex steps do not get out.
-        start = refined_start(grasp, source_hand, target, scene)
-        program = retargeting_program(grasp, source_hand, target, scene, start=start, settings=settings)
-        outcome = polish(program, protocol=protocol)
-    if outcome.grasp is None:
-        return outcome
-    named = replace(
-        outcome.grasp, grasp_id=f"{grasp.grasp_id}>{target.name}", source_grasp_id=grasp.grasp_id or "unnamed"
-    )
-    return Outcome(named, "")
+    (candidate,) = Retarget((grasp,), source_hand, settings)(target, scene, count=1, seed=0)
+    return finish(candidate, protocol=protocol)

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from xdex_drake.contact.certificate import contact_geometry
-from xdex_drake.contact.cones import effort_map
+from xdex_drake.contact.cones import contact_frames, effort_map
+from xdex_drake.contact.grasp_map import Effort
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.wrench import balance, gravity_wrench
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.pregrasp import NO_CONTACTS
@@ -47,7 +48,7 @@ def contact_torques(hand: Hand, k: Configuration, scene: Scene, certificate: Cer
     """
     p_OCs = np.array([c.p_OC for c in certificate.contacts])
     n_OCs = np.array([c.n_OC for c in certificate.contacts])
-    R_WCs, _ = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), certificate.p_OOcm)
+    R_WCs = scene.X_WO.rotation().matrix() @ contact_frames(n_OCs)
     f_Ws = np.einsum("kab,kb->ka", R_WCs, np.array([c.f_C for c in certificate.contacts]))
     links = np.array([hand.link_index[c.link] for c in certificate.contacts])
     J = k.jacobian(links, (scene.X_WO @ p_OCs.T).T)[:, :, 6:]
@@ -104,7 +105,7 @@ def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Grasp:
         The grasp with `tau_squeeze` and `q_squeeze`.
     """
     assert grasp.q_pregrasp is not None
-    k, model = Configuration.at(hand, grasp.X_WH, grasp.q), scene.object
+    k = Configuration.at(hand, grasp.X_WH, grasp.q)
     point = Point(k, scene, NO_CONTACTS, np.zeros((0, 3)))
     near, gaps, outward = point.object_distances
     links = hand.sphere_links[near]
@@ -114,20 +115,12 @@ def squeeze_by_rule(hand: Hand, grasp: Grasp, scene: Scene, kp: float) -> Grasp:
     if len(rows):
         n_WCs = -outward[rows]
         p_WCs = point.centers_W[near[rows]] + (gaps[rows] + hand.spheres[near[rows], 3])[:, None] * n_WCs
-        X_OW, R_WO = scene.X_WO.inverse(), scene.X_WO.rotation().matrix()
-        R_WCs, G = contact_geometry((X_OW @ p_WCs.T).T, n_WCs @ R_WO, R_WO, model.p_OOcm)
-        J = k.jacobian(links[rows], p_WCs)[:, :, 6:]
-        A = effort_map(J, R_WCs)
+        held = HeldObject.of(scene)
+        n_OCs = n_WCs @ held.R_WO
+        grasp_map = held.grasp_map((scene.X_WO.inverse() @ p_WCs.T).T, n_OCs)
+        A = effort_map(k.jacobian(links[rows], p_WCs)[:, :, 6:], held.R_WO @ contact_frames(n_OCs))
         for safety in RULE_FRICTION:
-            forces = balance(
-                G,
-                model.friction,
-                gravity_wrench(model.mass),
-                A=A,
-                effort=hand.effort,
-                length=model.length,
-                safety=safety,
-            )
+            forces = balance(grasp_map, gravity_wrench(held.mass), effort=Effort(A, hand.effort), safety=safety)
             if forces.solved:
                 return squeezed(hand, grasp, A @ forces.f, kp)
     low, high = hand.limits

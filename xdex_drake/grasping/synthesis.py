@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,17 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from xdex_drake.grasp import Grasp
-from xdex_drake.grasping.finish import GIVEN, SEARCHED, Demands, polish
+from xdex_drake.grasping.finish import GIVEN, SEARCHED, Demands, finish
+from xdex_drake.grasping.proposers import Search
 from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.description import Hand
-from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
-from xdex_drake.programs.search import SearchSettings, search
+from xdex_drake.programs.force_closure import PolishSettings
+from xdex_drake.programs.search import SearchSettings
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
-
-_log = logging.getLogger(__name__)
-
 
 LENIENT_EVERY = 3
 """One batch in so many is lenient; see `settings_of_batch`."""
@@ -68,23 +65,15 @@ def candidates_of_batch(
     Yields:
         Certified grasps, not yet lifted; their time includes their share of the search.
     """
-    start = time.perf_counter()
-    found = search(hand, scene, count=settings.batch, seed=seed, settings=settings.search)
-    share = (time.perf_counter() - start) / settings.batch
-    costs = wishes(hand, settings.search)
     hits: list[bool] = []
-    for row in range(len(found.energy)):
+    for candidate in Search(settings.search, settings.polish)(hand, scene, settings.batch, seed):
         if not worth_going_on(hits, settings.batch):
             return
-        tally.tried += 1
-        program = program_of_candidate(hand, scene, found, row, settings=settings.polish, extra_costs=costs)
-        outcome = polish(program, solver=settings.solver, demands=settings.demands)
+        outcome = finish(candidate, solver=settings.solver, demands=settings.demands)
+        tally.add(outcome)
         hits.append(outcome.grasp is not None)
-        if outcome.grasp is None:
-            tally.rejected[outcome.reason] = tally.rejected.get(outcome.reason, 0) + 1
-            continue
-        tally.certified += 1
-        yield replace(outcome.grasp, grasp_id=str(row), seconds=outcome.grasp.seconds + share)
+        if outcome.grasp is not None:
+            yield outcome.grasp
 
 
 def worth_going_on(hits: Sequence[bool], batch: int) -> bool:
@@ -138,7 +127,7 @@ def certified_grasps(
             hand, scene, seed=batch_seed(seed, batch), settings=settings_of_batch(settings, batch), tally=tally
         )
         for grasp in grasps:
-            yield replace(grasp, grasp_id=f"{hand.name}-{scene.object.name}-{seed}-{batch}-{grasp.grasp_id}")
+            yield named(grasp, scene, seed, batch)
         batch += 1
 
 
@@ -166,6 +155,11 @@ def batch_seed(seed: int, batch: int) -> int:
     return int(np.random.SeedSequence([seed, batch]).generate_state(1)[0])
 
 
+def named(grasp: Grasp, scene: Scene, seed: int, batch: int) -> Grasp:
+    """The grasp with an identifier of its own: hand, scene, seed, batch and the candidate's name in the batch."""
+    return replace(grasp, grasp_id=f"{grasp.hand}-{scene.scene_id}-{seed}-{batch}-{grasp.grasp_id}")
+
+
 def lift_all(rig: LiftRig, grasps: Iterator[Grasp], tally: Tally) -> Iterator[Grasp]:
     """Lifts grasps one by one.
 
@@ -179,10 +173,7 @@ def lift_all(rig: LiftRig, grasps: Iterator[Grasp], tally: Tally) -> Iterator[Gr
     """
     for grasp in grasps:
         verdict = simulate_lift(rig, grasp)
-        if verdict.success:
-            tally.lifted += 1
-        else:
-            tally.failed[verdict.failure_reason] = tally.failed.get(verdict.failure_reason, 0) + 1
+        tally.add_lift(verdict)
         yield replace(grasp, lift=verdict)
 
 

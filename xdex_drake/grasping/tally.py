@@ -1,26 +1,83 @@
-"""Counts of what became of candidates."""
+"""Counts of what became of candidates: tried, certified, lifted, and why not."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from xdex_drake.grasp import Lift
+
+if TYPE_CHECKING:
+    from xdex_drake.grasping.finish import Outcome
 
 
 @dataclass
 class Tally:
-    """Counts and seconds of a synthesis, for its closing table.
+    """What became of candidates.
 
     Attributes:
-        tried: Candidates polished.
+        tried: Candidates that were finished, as a grasp or with a reason.
         certified: Candidates that were certified.
         lifted: Certified grasps that lifted.
-        rejected: How often each reason rejected a candidate.
+        rejected: How often each reason rejected a candidate, by `Rejection.name`.
         failed: How often each reason failed a lift.
-        seconds: Wall time.
+        dropped: How often each reason failed what came after a lift that succeeded, where its protocol goes on.
+        lost: What happened to work that gave no result: a process that crashed or ran out of time.
+        seconds: Wall time spent, as whoever counts measures it [s].
     """
 
     tried: int = 0
     certified: int = 0
     lifted: int = 0
-    rejected: dict[str, int] = field(default_factory=dict)
-    failed: dict[str, int] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
+    failed: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    lost: list[str] = field(default_factory=list)
     seconds: float = 0.0
+
+    def add(self, outcome: Outcome) -> None:
+        """Counts a finished candidate, and its lift where it has one."""
+        self.tried += 1
+        if outcome.grasp is None:
+            assert outcome.reason is not None
+            self.rejected[outcome.reason.name] += 1
+            return
+        self.certified += 1
+        if outcome.grasp.lift is not None:
+            self.add_lift(outcome.grasp.lift)
+
+    def add_lift(self, lift: Lift) -> None:
+        """Counts the lift of a certified grasp."""
+        if lift.success:
+            self.lifted += 1
+            if lift.hold is not None and not lift.hold.holds:
+                self.dropped[lift.hold.reason] += 1
+        else:
+            self.failed[lift.failure_reason] += 1
+
+    def merge(self, other: Tally) -> None:
+        """Adds the counts of another tally."""
+        self.tried += other.tried
+        self.certified += other.certified
+        self.lifted += other.lifted
+        self.rejected += other.rejected
+        self.failed += other.failed
+        self.dropped += other.dropped
+        self.lost += other.lost
+        self.seconds += other.seconds
+
+    @property
+    def rate(self) -> str:
+        """Lifted of certified, as text."""
+        return f"{100.0 * self.lifted / self.certified:.0f} %" if self.certified else "-"
+
+    def row(self) -> tuple[int, int, int, str, str]:
+        """Tried, certified, lifted, and the reasons of rejections and of failed lifts: a row to print."""
+        return self.tried, self.certified, self.lifted, counted(self.rejected), counted(self.failed)
+
+
+def counted(reasons: Counter[str]) -> str:
+    """How often each reason came up, the most frequent first."""
+    ordered = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{name} {count}" for name, count in ordered) or "-"

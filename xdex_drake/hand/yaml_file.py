@@ -34,6 +34,7 @@ from xdex_drake.hand.description import (
     Sphere,
 )
 from xdex_drake.hand.inertia import link_inertia
+from xdex_drake.hand.shapes import values_of
 from xdex_drake.hand.spheres import fit_spheres
 
 MAX_BYTES = 5_000_000
@@ -112,8 +113,7 @@ def hand_digest(hand: Hand) -> str:
         "side": hand.side,
         "wrist": [hand.p_HB, hand.R_HB],
         "links": [
-            [k.name, [_geometry_values(g) for g in k.geometry], k.mass, k.p_LLcm, k.I_LLcm, k.spheres]
-            for k in hand.links
+            [k.name, [values_of(g) for g in k.geometry], k.mass, k.p_LLcm, k.I_LLcm, k.spheres] for k in hand.links
         ],
         "joints": [
             [j.name, j.kind, j.parent, j.child, j.p_PJ, j.R_PJ, j.axis, j.lower, j.upper, j.effort]
@@ -138,10 +138,6 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, float):
         return "0" if abs(value) < 1e-12 else f"{value:.9g}"
     return value
-
-
-def _geometry_values(shape: Geometry) -> list[Any]:
-    return [type(shape).__name__, *vars(shape).values()]
 
 
 # ---- reading

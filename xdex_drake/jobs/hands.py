@@ -253,7 +253,7 @@ def check_hands(
     done = 0
     for result in run_units(units, partial(_check, seconds), workers=workers):
         done += len(result.unit)
-        found = result.value if result.value is not None else dict.fromkeys(result.unit, (result.failure,))
+        found = result.value if result.value is not None else dict.fromkeys(result.unit, (str(result.failure),))
         reasons.update({name: said for name, said in found.items() if said})
         if on_done is not None:
             on_done(done)

@@ -1,70 +1,48 @@
-"""Units of work in processes, their results in the order of the units."""
+"""Results of units of work in the order of the units, whatever the number of processes."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar, cast
 
 from xdex_drake.jobs.processes import UnitResult, run_units
 
-if TYPE_CHECKING:
-    pass
-from xdex_drake.jobs.stored import _rig, _scene
-
 Unit = TypeVar("Unit")
-
-
 Value = TypeVar("Value")
 
 
-_log = logging.getLogger(__name__)
-
-
 def in_order(
-    units: Sequence[Unit],
-    work: Callable[[Unit], Value],
-    *,
-    workers: int,
-    lost: Callable[[Unit, str], Value] | None = None,
-) -> Iterator[tuple[Unit, Value]]:
+    units: Iterable[Unit], work: Callable[[Unit], Value], *, workers: int, timeout_s: float = 300.0
+) -> Iterator[UnitResult[Unit, Value]]:
     """Runs work on each unit and gives the results in the order of the units.
 
     Args:
-        units: The units.
+        units: The units, finitely many or not; taken one by one as processes become free.
         work: A function at the top level of a module.
         workers: Number of processes; 0 works in this one, where a crash ends everything.
-        lost: Gives the result of a unit whose process crashed or took too long; they are left out where None.
+        timeout_s: Longest wall time of a unit [s].
 
     Yields:
-        Each unit with its result; units that were lost are told by a warning.
+        What became of each unit; one that crashed its process or took too long has a failure and no value.
 
     Raises:
         RuntimeError: The work met a bug; the message holds its traceback.
         XdexError: The input of a unit cannot be used.
     """
-    waiting: dict[int, UnitResult[tuple[int, Unit], Value]] = {}
-    results = run_units(list(enumerate(units)), _Numbered(work), workers=min(workers, len(units)), timeout_s=300.0)
+    waiting: dict[int, UnitResult[Any, Value]] = {}
     position = 0
-    try:
+    with closing(run_units(enumerate(units), _Numbered(work), workers=workers, timeout_s=timeout_s)) as results:  # type: ignore[type-var]
         for done in results:
             waiting[done.unit[0]] = done
             while (ready := waiting.pop(position, None)) is not None:
+                if ready.failure is not None and ready.failure.error is not None:
+                    raise ready.failure.error
+                if ready.failure is not None and ready.failure.trace:
+                    raise RuntimeError(f"unit {position}:\n{ready.failure.trace}")
                 position += 1
-                if ready.failure:
-                    if ready.trace:
-                        raise RuntimeError(f"unit {position - 1}:\n{ready.trace}")
-                    _log.warning("unit %d: %s", position - 1, ready.failure)
-                    if lost is not None:
-                        yield ready.unit[1], lost(ready.unit[1], ready.failure)
-                    continue
-                yield ready.unit[1], cast("Value", ready.value)
-    finally:
-        results.close()  # type: ignore[attr-defined]
-        if workers == 0:
-            _rig.cache_clear()
-            _scene.cache_clear()
+                yield cast("UnitResult[Unit, Value]", replace(ready, unit=ready.unit[1]))
 
 
 @dataclass(frozen=True)

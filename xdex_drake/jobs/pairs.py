@@ -6,7 +6,7 @@ are the same for any number of workers, and a run that was killed goes on with t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib import metadata
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from xdex_drake.dataset.folder import Manifest, completed_units, open_dataset, write_failure, write_shard
-from xdex_drake.dataset.rows import rows_of_scene
+from xdex_drake.dataset.rows import rows_of, timeless
 from xdex_drake.dataset.schema import Row
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasping.retarget import retarget
@@ -25,9 +25,10 @@ from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.jobs.processes import UnitResult, run_units
+from xdex_drake.jobs.workbench import hand_of
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import lift_rig
+from xdex_drake.simulation.lift import shared_rig
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class DatasetConfig:
 
 
 @dataclass(frozen=True)
-class Unit:
+class PairUnit:
     """A unit of work: one source hand on one scene.
 
     Attributes:
@@ -74,7 +75,7 @@ class Unit:
     scene: int
 
 
-def plan(config: DatasetConfig) -> tuple[Unit, ...]:
+def plan(config: DatasetConfig) -> tuple[PairUnit, ...]:
     """The units of a data set, in order.
 
     Args:
@@ -96,14 +97,14 @@ def plan(config: DatasetConfig) -> tuple[Unit, ...]:
         raise ConfigError(f"source_hands: {', '.join(unknown)} must be among hands: add them there")
     sources = config.source_hands or config.hands
     return tuple(
-        Unit(f"{Path(obj).stem}-{scene}-{Path(hand).stem}", config.hands.index(hand), o, scene)
+        PairUnit(f"{Path(obj).stem}-{scene}-{Path(hand).stem}", config.hands.index(hand), o, scene)
         for o, obj in enumerate(config.objects)
         for scene in range(config.scenes_per_object)
         for hand in sources
     )
 
 
-def run_unit(unit: Unit, config: DatasetConfig) -> list[Row]:
+def run_unit(unit: PairUnit, config: DatasetConfig) -> list[Row]:
     """The rows of one unit.
 
     Args:
@@ -113,10 +114,10 @@ def run_unit(unit: Unit, config: DatasetConfig) -> list[Row]:
     Returns:
         Rows of source grasps, then of the grasps retargeted from them.
     """
-    hands = [load_hand(name) for name in config.hands]
-    source = hands[unit.hand]
-    path = config.objects[unit.object]
-    scene = make_scene(load_object(path, mass=config.mass), seed=config.seed + unit.scene)
+    source = hand_of(config.hands[unit.hand])
+    targets = [hand_of(name) for name in config.hands if name != config.hands[unit.hand]]
+    model = load_object(config.objects[unit.object], mass=config.mass)
+    scene = make_scene(model, seed=config.seed + unit.scene)
     settings = replace(SynthesisSettings(), batch=config.candidates)
     seed = int(np.random.SeedSequence([config.seed, unit.hand, unit.object, unit.scene]).generate_state(1)[0])
     tally = Tally()
@@ -124,16 +125,20 @@ def run_unit(unit: Unit, config: DatasetConfig) -> list[Row]:
         replace(grasp, grasp_id=f"{unit.name}-{k}")
         for k, grasp in enumerate(candidates_of_batch(source, scene, seed=seed, settings=settings, tally=tally))
     ]
-    lifted = list(lift_all(lift_rig(source, scene), iter(grasps), tally))
+    lifted = list(lift_all(shared_rig(source, scene), iter(grasps), tally))
     sources = [g for g in lifted if g.lift is not None and g.lift.success][: config.sources_per_unit]
     result = list(lifted)
-    for target in hands:
-        if target is source:
-            continue
+    for target in targets:
         carried = [retarget(grasp, source, target, scene).grasp for grasp in sources]
-        result += lift_all(lift_rig(target, scene), (g for g in carried if g is not None), tally)
+        result += lift_all(shared_rig(target, scene), (g for g in carried if g is not None), tally)
     kept = [g for g in result if config.keep_failed or (g.lift is not None and g.lift.success)]
-    return rows_of_scene(kept, {hand.name: hand for hand in hands}, scene, path)
+    rows: list[Row] = []
+    points: dict[str, Sequence[float]] = {}
+    for hand in (source, *targets):
+        made = rows_of([timeless(g) for g in kept if g.hand == hand.name], hand, scene, source_points=points)
+        points |= {row["grasp_id"]: row["object_point_O"] for row in made}
+        rows += made
+    return rows
 
 
 def versions() -> dict[str, str]:
@@ -163,7 +168,7 @@ def generate(
     *,
     workers: int = 2,
     timeout_s: float = 900.0,
-    on_done: Callable[[UnitResult[Unit, list[Row]]], None] | None = None,
+    on_done: Callable[[UnitResult[PairUnit, list[Row]]], None] | None = None,
 ) -> tuple[int, int]:
     """Generates a data set, or goes on with one that was interrupted.
 
@@ -186,9 +191,9 @@ def generate(
     done = completed_units(folder)
     counts = [0, 0]
 
-    def save(result: UnitResult[Unit, list[Row]]) -> None:
+    def save(result: UnitResult[PairUnit, list[Row]]) -> None:
         if result.value is None:
-            write_failure(folder, result.unit.name, result.failure)
+            write_failure(folder, result.unit.name, str(result.failure))
             counts[1] += 1
         else:
             write_shard(folder, result.unit.name, result.value)

@@ -8,6 +8,7 @@ process, as long as that has one thread, as the command line's has; else from a 
 imported the library and does nothing else.
 """
 
+import gc
 import multiprocessing as mp
 import os
 import pickle
@@ -18,6 +19,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from enum import StrEnum
 from itertools import islice
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -25,7 +27,7 @@ from multiprocessing.context import ForkContext, ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
-from xdex_drake.errors import ConfigError
+from xdex_drake.errors import ConfigError, XdexError
 
 Unit = TypeVar("Unit")
 Value = TypeVar("Value")
@@ -44,6 +46,35 @@ _FAILED_STARTS = 3
 _GRACE_S = 5.0
 
 
+class FailureKind(StrEnum):
+    """How a unit came to have no value."""
+
+    TIMEOUT = "timeout"
+    CRASHED = "crashed"
+    RAISED = "raised"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a unit has no value.
+
+    Attributes:
+        kind: How it came.
+        detail: More, in words; of `RAISED` the exception in one line.
+        trace: Traceback of the exception, empty where there was none.
+        error: The exception, where it says that the unit's input cannot be used.
+    """
+
+    kind: FailureKind
+    detail: str
+    trace: str = ""
+    error: XdexError | None = None
+
+    def __str__(self) -> str:
+        """One line."""
+        return self.detail if self.kind is FailureKind.RAISED else f"{self.kind}: {self.detail}"
+
+
 @dataclass(frozen=True)
 class UnitResult(Generic[Unit, Value]):
     """What became of a unit.
@@ -51,15 +82,13 @@ class UnitResult(Generic[Unit, Value]):
     Attributes:
         unit: The unit.
         value: What the work returned, None where it failed.
-        failure: Empty, or why there is no value: `timeout: ...`, `crashed: ...` or the exception in one line.
-        trace: Traceback of the exception, empty where there was none.
+        failure: Why there is no value, None where there is one.
         seconds: Wall time of the unit.
     """
 
     unit: Unit
     value: Value | None
-    failure: str
-    trace: str
+    failure: Failure | None
     seconds: float
 
 
@@ -122,12 +151,18 @@ def _run_here(
         yield result
 
 
-def _attempt(work: Callable[[Unit], Value], unit: Unit) -> tuple[Value | None, str, str]:
-    """Value, failure and traceback of a unit."""
+def _attempt(work: Callable[[Unit], Value], unit: Unit) -> tuple[Value | None, Failure | None]:
+    """Value or failure of a unit."""
     try:
-        return work(unit), "", ""
+        return work(unit), None
     except Exception as error:
-        return None, f"{type(error).__name__}: {error}", traceback.format_exc()
+        return None, _raised(error)
+
+
+def _raised(error: Exception) -> Failure:
+    """An exception that is being handled, as a failure."""
+    ours = error if isinstance(error, XdexError) else None
+    return Failure(FailureKind.RAISED, f"{type(error).__name__}: {error}", traceback.format_exc(), ours)
 
 
 # The caller's side ----------------------------------------------------------------------------------------------------
@@ -285,28 +320,28 @@ def _collect(worker: _Worker[Unit], timeout_s: float | None) -> UnitResult[Unit,
     try:
         if not worker.connection.poll():
             _end(worker)
-            return _give_up(worker, f"timeout: more than {timeout_s:g} s")
+            return _give_up(worker, Failure(FailureKind.TIMEOUT, f"more than {timeout_s:g} s"))
         message = worker.connection.recv_bytes()
     except (EOFError, OSError):
         _end(worker, grace_s=_GRACE_S)
-        return _give_up(worker, _how_it_ended(worker.process))
+        return _give_up(worker, Failure(FailureKind.CRASHED, _how_it_ended(worker.process)))
     if not worker.is_ready:
         worker.is_ready = True
         return None
     worker.done += 1
     seconds = time.monotonic() - worker.begin
     try:
-        value, failure, trace = pickle.loads(message)
+        value, failure = pickle.loads(message)
     except Exception as error:
-        value, failure, trace = None, f"{type(error).__name__}: {error}", traceback.format_exc()
-    return UnitResult(worker.units.pop(), value, failure, trace, seconds)
+        value, failure = None, _raised(error)
+    return UnitResult(worker.units.pop(), value, failure, seconds)
 
 
-def _give_up(worker: _Worker[Unit], failure: str) -> UnitResult[Unit, Any] | None:
+def _give_up(worker: _Worker[Unit], failure: Failure) -> UnitResult[Unit, Any] | None:
     """The result of a worker that has gone; None where it had no unit."""
     if not worker.units:
         return None
-    return UnitResult(worker.units.pop(), None, failure, "", time.monotonic() - worker.begin)
+    return UnitResult(worker.units.pop(), None, failure, time.monotonic() - worker.begin)
 
 
 def _end(worker: _Worker[Any], *, grace_s: float = 0.0) -> None:
@@ -322,11 +357,11 @@ def _end(worker: _Worker[Any], *, grace_s: float = 0.0) -> None:
 def _how_it_ended(process: BaseProcess) -> str:
     code = process.exitcode
     if code is None or code >= 0:
-        return f"crashed: the process ended with status {code}"
+        return f"the process ended with status {code}"
     try:
-        return f"crashed: {signal.Signals(-code).name}"
+        return signal.Signals(-code).name
     except ValueError:
-        return f"crashed: signal {-code}"
+        return f"signal {-code}"
 
 
 # The worker's side ----------------------------------------------------------------------------------------------------
@@ -341,14 +376,18 @@ def _serve(
     os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # also for whatever resets the mask
     threading.Thread(target=_end_with_caller, daemon=True).start()
+    # Drake's diagrams go in circles, which only the collector ends, and it counts Python's objects alone: it would let
+    # gigabytes lie. What is here already stays, so that to look after each unit takes no time.
+    gc.freeze()
     with suppress(EOFError, OSError):
         connection.send_bytes(b"ready")
         for _ in range(units_per_process):
             answer = _attempt(work, connection.recv())
+            gc.collect()
             try:
                 message = pickle.dumps(answer)
             except Exception as error:
-                message = pickle.dumps((None, f"{type(error).__name__}: {error}", traceback.format_exc()))
+                message = pickle.dumps((None, _raised(error)))
             connection.send_bytes(message)
 
 

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from xdex_drake.dataset.files import SceneFacts
 from xdex_drake.grasp import Grasp, Lift
+from xdex_drake.jobs.ordered import in_order
+from xdex_drake.jobs.processes import Failure, FailureKind
+from xdex_drake.jobs.workbench import hand_of, rig_of, scene_of, use_one_thread
+from xdex_drake.scene.facts import SceneFacts
 
 if TYPE_CHECKING:
+    from xdex_drake.dataset.files import StoredGrasp
     from xdex_drake.grasping.finish import Outcome
-    from xdex_drake.hand.description import Hand
-    from xdex_drake.scene.tabletop import Scene
-    from xdex_drake.simulation.lift import LiftRig
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class RetargetUnit:
-    """A stored grasp that shall be carried to another hand.
+    """A grasp that shall be carried to another hand.
 
     Attributes:
-        index: Its place in the file.
+        index: Its place among the grasps.
         grasp: The grasp.
         scene: Its scene.
         source: Name or path of its hand.
@@ -37,10 +41,10 @@ class RetargetUnit:
 
 @dataclass(frozen=True)
 class LiftUnit:
-    """A stored grasp that shall be lifted again.
+    """A grasp that shall be lifted again.
 
     Attributes:
-        index: Its place in the file.
+        index: Its place among the grasps.
         grasp: The grasp.
         scene: Its scene.
         hand: Name or path of its hand.
@@ -56,8 +60,76 @@ class LiftUnit:
     robust: int = 0
 
 
+def retarget_units(stored: Sequence[StoredGrasp], targets: Sequence[str]) -> list[RetargetUnit]:
+    """Every grasp to every target, target by target.
+
+    Args:
+        stored: Grasps of a file.
+        targets: Names or paths of the other hands.
+
+    Returns:
+        The units; their index is the grasp's place in `stored`.
+    """
+    return [
+        RetargetUnit(k, item.grasp, item.facts, item.hand_path, target)
+        for target in targets
+        for k, item in enumerate(stored)
+    ]
+
+
+def retarget_all(units: Sequence[RetargetUnit], *, workers: int = 2) -> Iterator[tuple[RetargetUnit, Outcome]]:
+    """Retargets grasps and lifts the results.
+
+    Args:
+        units: Grasps and targets.
+        workers: Number of processes; 0 works in this one.
+
+    Yields:
+        Each unit with what became of it, in order; one whose process crashed or took too long is told and left out.
+    """
+    for done in in_order(units, run_retarget, workers=min(workers, len(units))):
+        if done.value is None:
+            _log.warning("grasp %d to %s: %s", done.unit.index, done.unit.target, done.failure)
+        else:
+            yield done.unit, done.value
+
+
+def lift_units(stored: Sequence[StoredGrasp], *, protocol: str = "lift-0.2/2tips", robust: int = 0) -> list[LiftUnit]:
+    """Every grasp once, those of one hand and scene in a row, so that they share a rig.
+
+    Args:
+        stored: Grasps of a file.
+        protocol: Name of the protocol.
+        robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
+
+    Returns:
+        The units; their index is the grasp's place in `stored`.
+    """
+    units = [LiftUnit(k, item.grasp, item.facts, item.hand_path, protocol, robust) for k, item in enumerate(stored)]
+    return sorted(units, key=lambda unit: (unit.hand, unit.scene.scene_id))
+
+
+def lift_all(units: Sequence[LiftUnit], *, workers: int = 2) -> Iterator[tuple[LiftUnit, Lift]]:
+    """Lifts grasps.
+
+    Args:
+        units: The grasps.
+        workers: Number of processes; 0 works in this one.
+
+    Yields:
+        Each unit with its verdict, in order; one whose process crashed or took too long has failed.
+    """
+    for done in in_order(units, run_lift, workers=min(workers, len(units))):
+        if done.value is None:
+            assert done.failure is not None
+            _log.warning("grasp %d: %s", done.unit.index, done.failure)
+            yield done.unit, lost_lift(done.unit, done.failure)
+        else:
+            yield done.unit, done.value
+
+
 def run_retarget(unit: RetargetUnit) -> Outcome:
-    """Retargets a stored grasp and lifts the result.
+    """Retargets a grasp and lifts the result.
 
     Args:
         unit: The grasp and the target.
@@ -65,27 +137,19 @@ def run_retarget(unit: RetargetUnit) -> Outcome:
     Returns:
         The lifted grasp, or the reason why there is none.
     """
-    import torch
-
     from xdex_drake.grasping.finish import Outcome
     from xdex_drake.grasping.retarget import retarget
-    from xdex_drake.hand.library import load_hand
     from xdex_drake.simulation.lift import simulate_lift
 
-    torch.set_num_threads(1)
-    scene = _scene(unit.scene)
-    source, target = load_hand(unit.source), load_hand(unit.target)
-    outcome = retarget(unit.grasp, source, target, scene)
+    use_one_thread()
+    outcome = retarget(unit.grasp, hand_of(unit.source), hand_of(unit.target), scene_of(unit.scene))
     if outcome.grasp is None:
         return outcome
-    lift = simulate_lift(_rig(unit.target, unit.scene), outcome.grasp)
-    name = outcome.grasp.grasp_id or f"{unit.grasp.grasp_id}-{target.name}"
-    source_id = outcome.grasp.source_grasp_id or unit.grasp.grasp_id
-    return Outcome(replace(outcome.grasp, lift=lift, grasp_id=name, source_grasp_id=source_id), "")
+    return Outcome(replace(outcome.grasp, lift=simulate_lift(rig_of(unit.target, unit.scene), outcome.grasp)))
 
 
 def run_lift(unit: LiftUnit) -> Lift:
-    """Lifts a stored grasp.
+    """Lifts a grasp.
 
     Args:
         unit: The grasp.
@@ -97,7 +161,7 @@ def run_lift(unit: LiftUnit) -> Lift:
     from xdex_drake.simulation.protocol import find_protocol
     from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
-    hand, scene, protocol = _hand(unit.hand), _scene(unit.scene), find_protocol(unit.protocol)
+    hand, scene, protocol = hand_of(unit.hand), scene_of(unit.scene), find_protocol(unit.protocol)
     if unit.robust:
         return robust_lift(
             unit.grasp, hand, scene, protocol=protocol, settings=RobustSettings(repeats=unit.robust)
@@ -105,7 +169,7 @@ def run_lift(unit: LiftUnit) -> Lift:
     return lift(unit.grasp, hand, scene, protocol=protocol)
 
 
-def lost_lift(unit: LiftUnit, failure: str) -> Lift:
+def lost_lift(unit: LiftUnit, failure: Failure) -> Lift:
     """The verdict of a lift whose process crashed or took too long: it failed.
 
     Args:
@@ -118,27 +182,7 @@ def lost_lift(unit: LiftUnit, failure: str) -> Lift:
     from xdex_drake.simulation.hold import NOT_LIFTED
     from xdex_drake.simulation.protocol import find_protocol
 
-    reason = "timeout" if failure.startswith("timeout") else "simulation_failed"
+    reason = "timeout" if failure.kind is FailureKind.TIMEOUT else "simulation_failed"
     name = f"robust:{unit.protocol}" if unit.robust else unit.protocol
     hold = None if find_protocol(unit.protocol).hold is None else NOT_LIFTED
     return Lift(name, False, reason, float("nan"), (), 0.0, hold)
-
-
-@lru_cache(maxsize=4)
-def _hand(hand: str) -> Hand:
-    from xdex_drake.hand.library import load_hand
-
-    return load_hand(hand)
-
-
-@lru_cache(maxsize=4)
-def _scene(scene: SceneFacts) -> Scene:
-    return scene.build()
-
-
-@lru_cache(maxsize=4)
-def _rig(hand: str, scene: SceneFacts) -> LiftRig:
-    from xdex_drake.hand.library import load_hand
-    from xdex_drake.simulation.lift import lift_rig
-
-    return lift_rig(load_hand(hand), _scene(scene))

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.math import RigidTransform
-from scipy.spatial import ConvexHull
 
-from xdex_drake.hand.description import Array, Box, Capsule, Geometry, Hand, Link, Sphere
+from xdex_drake.hand.description import Array, Hand, Link
 from xdex_drake.hand.heading import heading, object_point
 from xdex_drake.hand.kinematics import forward_kinematics
 
@@ -215,9 +214,9 @@ def sample_link(link: Link, count: int, rng: np.random.Generator) -> Array:
     """
     if not link.geometry:
         return np.zeros((count, 3))
-    shares = np.array([_area(g) for g in link.geometry]) + 1e-12
+    shares = np.array([g.area() for g in link.geometry]) + 1e-12
     many = rng.multinomial(8 * count, shares / shares.sum())
-    return _spread(np.concatenate([_sample(g, n, rng) for g, n in zip(link.geometry, many, strict=True)]), count)
+    return _spread(np.concatenate([g.sample(n, rng) for g, n in zip(link.geometry, many, strict=True)]), count)
 
 
 def _spread(points: Array, count: int) -> Array:
@@ -228,57 +227,3 @@ def _spread(points: Array, count: int) -> Array:
         distance = np.minimum(distance, np.sum((points - points[chosen[k - 1]]) ** 2, axis=1))
         chosen[k] = np.argmax(distance)
     return points[chosen]
-
-
-def _area(geometry: Geometry) -> float:
-    """Surface area [m^2]."""
-    if isinstance(geometry, Sphere):
-        return 4.0 * np.pi * geometry.radius**2
-    if isinstance(geometry, Capsule):
-        length = float(np.linalg.norm(geometry.p1 - geometry.p0))
-        return 2.0 * np.pi * geometry.radius * (length + 2.0 * geometry.radius)
-    if isinstance(geometry, Box):
-        x, y, z = geometry.size
-        return 2.0 * float(x * y + y * z + z * x)
-    return float(ConvexHull(geometry.vertices, qhull_options="QJ").area)
-
-
-def _sample(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Independent points, uniform on the surface, in L [m], shape (count, 3)."""
-    if isinstance(geometry, Sphere):
-        return geometry.center + geometry.radius * _directions(count, rng)
-    if isinstance(geometry, Capsule):
-        return _sample_capsule(geometry, count, rng)
-    if isinstance(geometry, Box):
-        x, y, z = geometry.size
-        faces = np.array([y * z, z * x, x * y])
-        axis = rng.choice(3, count, p=faces / faces.sum())
-        points = rng.uniform(-0.5, 0.5, (count, 3))
-        points[np.arange(count), axis] = rng.choice([-0.5, 0.5], count)
-        return (points * geometry.size) @ geometry.R_LG.T + geometry.p_LG
-    hull = ConvexHull(geometry.vertices, qhull_options="QJ")
-    a, b, c = geometry.vertices[hull.simplices].transpose(1, 0, 2)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) + 1e-15
-    face = rng.choice(len(areas), count, p=areas / areas.sum())
-    s, t = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    return a[face] * (1.0 - s) + b[face] * (s * (1.0 - t)) + c[face] * (s * t)
-
-
-def _sample_capsule(capsule: Capsule, count: int, rng: np.random.Generator) -> Array:
-    """Uniform on the surface: the side and the two half spheres by area."""
-    along = capsule.p1 - capsule.p0
-    length = float(np.linalg.norm(along))
-    axis = along / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-    direction = _directions(count, rng)
-    on_side = rng.random(count) < length / (length + 2.0 * capsule.radius)
-    radial = direction - (direction @ axis)[:, None] * axis
-    radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-12)
-    side = capsule.p0 + rng.random(count)[:, None] * along + capsule.radius * radial
-    cap = np.where((direction @ axis)[:, None] > 0.0, capsule.p1, capsule.p0) + capsule.radius * direction
-    return np.where(on_side[:, None], side, cap)
-
-
-def _directions(count: int, rng: np.random.Generator) -> Array:
-    """Unit vectors, uniform on the sphere, shape (count, 3)."""
-    v = rng.normal(size=(count, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.grasping.finish import Outcome, polish
+from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.hand.description import Hand
+from xdex_drake.learning.checkpoint import load_checkpoint
 from xdex_drake.learning.features import hand_features, object_features, zero_configuration
 from xdex_drake.learning.models.cvae import CVAE
 from xdex_drake.learning.predict import Prediction, sample
@@ -74,37 +76,30 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     return Candidates(found.R_WHs, found.p_WHs, found.qs, fingers, found.errors, {})
 
 
-def propose(
-    model: CVAE,
-    hand: Hand,
-    scene: Scene,
-    *,
-    count: int,
-    seed: int = 0,
-    settings: PolishSettings | None = None,
-) -> Iterator[Outcome]:
-    """Predicted grasps, refined and certified; not lifted yet.
+@dataclass(frozen=True)
+class ModelProposer:
+    """Proposes what a model draws, refined; equal seeds give corresponding candidates of different hands.
 
-    Args:
-        model: The model.
-        hand: The hand; the model need not have seen it.
-        scene: The scene.
-        count: Number of predictions.
-        seed: Seed of the draws.
-        settings: Numbers of the hard constraints; the defaults where None.
-
-    Yields:
-        One outcome a prediction, failed ones with their reason.
+    Attributes:
+        checkpoint: File of the model, or the folder that holds it.
+        polish: Numbers of the hard constraints of the candidates' programs; the defaults where None.
     """
-    start = time.perf_counter()
-    raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
-    refined = refine(hand, scene, raw, settings=REFINEMENT)
-    share = (time.perf_counter() - start) / count
-    for k in range(count):
-        X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(refined.R_WHs[k]), refined.p_WHs[k])
-        program = polish_program(hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=settings)
-        outcome = polish(program)
-        if outcome.grasp is not None:
-            name = f"{hand.name}-{scene.object.name}-predicted-{seed}-{k}"
-            outcome = Outcome(replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share), "")
-        yield outcome
+
+    checkpoint: str
+    polish: PolishSettings | None = None
+
+    def __call__(self, hand: Hand, scene: Scene, count: int, seed: int) -> Iterator[Candidate]:
+        """Draws, solves inverse kinematics and refines once, for all candidates; see `grasping.proposers.Proposer`."""
+        model, start = _model(self.checkpoint), time.perf_counter()
+        raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
+        refined = refine(hand, scene, raw, settings=REFINEMENT)
+        share = (time.perf_counter() - start) / count
+        for k in range(count):
+            X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(refined.R_WHs[k]), refined.p_WHs[k])
+            build = partial(polish_program, hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=self.polish)
+            yield Candidate(f"m{k}", lambda build=build: iter((build(),)), share)
+
+
+@lru_cache(maxsize=2)
+def _model(checkpoint: str) -> CVAE:
+    return load_checkpoint(checkpoint)

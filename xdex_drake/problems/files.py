@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,7 +27,7 @@ from xdex_drake.programs.search import EnergyWeights, SearchSettings, search
 from xdex_drake.programs.solve import ProgramResult
 from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
-from xdex_drake.typed_yaml import read_typed_yaml
+from xdex_drake.typed_yaml import NOT_IN_FILE, read_typed_yaml
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class ObjectSpec:
 
     Attributes:
         name: Library name, or path of a mesh, relative to the problem file.
-        scale: Factor from the mesh file's unit to metres.
+        scale: Factor from the mesh file's unit to metres; guessed by the size where it is left out.
         mass: Mass [kg].
         friction: Coefficient of friction.
     """
 
     name: str
-    scale: float = 1.0
+    scale: float | None = None
     mass: float = DEFAULT_MASS
     friction: float = DEFAULT_FRICTION
 
@@ -155,7 +155,7 @@ class Problem:
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     polish: PolishSettings = field(default_factory=PolishSettings)
     reaches: Reaches = field(default_factory=Reaches)
-    path: Path = field(default=Path(), init=False, compare=False)
+    path: Path = field(default=Path(), compare=False, metadata=NOT_IN_FILE)
 
     def __post_init__(self) -> None:
         """Refuses numbers that are out of range.
@@ -231,9 +231,7 @@ def load_any_problem(name_or_path: str | Path) -> Problem | WrenchProblem:
             raise ProblemFileError(f"there is no problem {path.name!r}; {mend} (a path to a .yaml file also works)")
         path = data_folder("problems") / f"{path.name}.yaml"
     kind = WrenchProblem if _program(path) == "wrench" else Problem
-    problem = read_typed_yaml(path, kind, error=ProblemFileError)
-    object.__setattr__(problem, "path", path)
-    return problem
+    return replace(read_typed_yaml(path, kind, error=ProblemFileError), path=path)
 
 
 def _program(path: Path) -> object:

@@ -13,11 +13,12 @@ from pydrake.math import RigidTransform
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.grasping.finish import finish_grasp
+from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.problems.files import Problem, force_closure_programs, load_problem, problem_scene
 from xdex_drake.programs.link_pose_ik import link_pose_ik_program
-from xdex_drake.programs.obstacles import Obstacle, find_obstacles, in_words
+from xdex_drake.programs.obstacles import Obstacle, find_obstacles
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import refined_start, retargeting_program
 from xdex_drake.programs.solve import ProgramResult, most_violated, solve
@@ -81,14 +82,14 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
         programs = itertools.islice(programs, 1)
     attempts: list[tuple[GraspProgram, ProgramResult]] = []
     best: tuple[int, GraspProgram, ProgramResult, Grasp] | None = None
-    reason = ""
+    rejected: Rejection | None = None
     for program in programs:
         result = solve(program, solver=problem.solver)
         attempts.append((program, result))
         if not result.success:
             continue
         outcome = finish_grasp(hand, result.point)
-        reason = outcome.reason
+        rejected = outcome.reason
         if outcome.grasp is None:
             continue
         grasp = replace(outcome.grasp, grasp_id=problem.name, lift=lift(outcome.grasp, hand, scene))
@@ -104,13 +105,13 @@ def solve_problem(problem: Problem | str | Path) -> Solution:
         grasp = None
     violated = most_violated([result for _, result in attempts])
     missed = problem.reaches.missed(result, grasp, obstacles)
-    why = "" if grasp is not None else _reason(obstacles, reason or result.worst)
+    why = "" if grasp is not None else _reason(obstacles, rejected or Rejection(Reason.CONSTRAINT, result.worst))
     return Solution(problem, hand, scene, program, result, grasp, why, len(attempts), violated, obstacles, missed)
 
 
-def _reason(obstacles: tuple[Obstacle, ...], rejected: str) -> str:
+def _reason(obstacles: tuple[Obstacle, ...], rejected: Rejection) -> str:
     """Why there is no grasp: what is proven, else what the best start was rejected for."""
-    return obstacles[0].message if obstacles else in_words(rejected)
+    return obstacles[0].message if obstacles else rejected.in_words()
 
 
 def problem_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterator[GraspProgram]:

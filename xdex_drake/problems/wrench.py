@@ -12,10 +12,13 @@ from typing import Literal
 import numpy as np
 
 from xdex_drake.contact.cones import contact_frames, grasp_matrix
-from xdex_drake.contact.margins import ball_margin, epsilon_linearized, min_weight, task_margin
+from xdex_drake.contact.grasp_map import Effort, GraspMap
+from xdex_drake.contact.margins import ball_margin, task_margin
+from xdex_drake.contact.pyramids import epsilon_linearized, min_weight
 from xdex_drake.contact.wrench import GRAVITY, balance, gravity_wrench, push_wrenches
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.description import Array
+from xdex_drake.typed_yaml import NOT_IN_FILE
 
 WrenchProgram = Literal["balance", "task_margin", "ball_margin", "epsilon", "min_weight"]
 
@@ -107,7 +110,7 @@ class WrenchProblem:
     length: float = 0.05
     most_force: float | None = None
     reaches: WrenchReaches = field(default_factory=WrenchReaches)
-    path: Path = field(default=Path(), init=False, compare=False)
+    path: Path = field(default=Path(), compare=False, metadata=NOT_IN_FILE)
 
     def __post_init__(self) -> None:
         """Refuses numbers that are out of range.
@@ -155,15 +158,12 @@ def solve_wrench_problem(problem: WrenchProblem) -> WrenchResult:
     n_WCs = np.array([contact.n for contact in problem.contacts])
     n_WCs = n_WCs / np.linalg.norm(n_WCs, axis=1, keepdims=True)
     R_WCs = contact_frames(n_WCs)
-    G, n = grasp_matrix(p_WCs, R_WCs, np.zeros(3)), len(p_WCs)
-    mu, length, gravity = problem.friction, problem.length, gravity_wrench(problem.mass)
-    A, effort = None, None
-    if problem.most_force is not None:
-        A, effort = np.zeros((n, 3 * n)), np.full(n, problem.most_force)
-        A[np.arange(n), 3 * np.arange(n) + 2] = 1.0
+    grasp_map = GraspMap(grasp_matrix(p_WCs, R_WCs, np.zeros(3)), problem.friction, problem.length)
+    n, gravity, most = len(p_WCs), gravity_wrench(problem.mass), problem.most_force
+    effort = None if most is None else Effort.of_normal_forces(n, most)
     start, none = time.perf_counter(), np.zeros((0, 3))
     if problem.solve == "balance":
-        found = balance(G, mu, gravity, A=A, effort=effort, length=length)
+        found = balance(grasp_map, gravity, effort=effort)
         if found.status != "solved":
             return _infeasible(found.reason, start)
         f = found.f.reshape(n, 3)
@@ -171,20 +171,20 @@ def solve_wrench_problem(problem: WrenchProblem) -> WrenchResult:
         forces = np.einsum("kab,kb->ka", R_WCs, f)
         return WrenchResult("solved", greatest, forces, "", time.perf_counter() - start)
     if problem.solve == "task_margin":
-        margin = task_margin(G, mu, gravity, push_wrenches(problem.mass), A, effort, length=length)
+        margin = task_margin(grasp_map, gravity, push_wrenches(problem.mass), effort=effort)
         if margin.status != "solved":
             return _infeasible(margin.reason, start)
         return WrenchResult("solved", margin.margin, none, "", time.perf_counter() - start)
-    value = _QUALITIES[problem.solve](G, mu, length)
+    value = _QUALITIES[problem.solve](grasp_map)
     if not math.isfinite(value) or value < 0.0:
         return _infeasible("the contacts do not close by force: some push is resisted by none of them", start)
     return WrenchResult("solved", float(value), none, "", time.perf_counter() - start)
 
 
-_QUALITIES: dict[str, Callable[[Array, float, float], float]] = {
-    "ball_margin": lambda G, mu, length: ball_margin(G, mu, length=length).lower,
-    "epsilon": lambda G, mu, length: epsilon_linearized(G, mu, length=length),
-    "min_weight": lambda G, mu, length: min_weight(G, mu, length=length),
+_QUALITIES: dict[str, Callable[[GraspMap], float]] = {
+    "ball_margin": lambda grasp_map: ball_margin(grasp_map).lower,
+    "epsilon": epsilon_linearized,
+    "min_weight": min_weight,
 }
 
 

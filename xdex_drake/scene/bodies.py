@@ -28,7 +28,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody, RotationalInertia, SpatialInertia
 
-from xdex_drake.scene.convex_parts import convex_hull, grow
+from xdex_drake.scene.hulls import convex_hull, grow
 from xdex_drake.scene.object import Array, ObjectModel
 
 POINT_STIFFNESS = 1e5

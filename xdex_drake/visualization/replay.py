@@ -25,7 +25,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from xdex_drake.contact.certificate import contact_geometry
+from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Array, Grasp, Lift
 from xdex_drake.hand.description import Hand
@@ -304,10 +304,7 @@ def _draw_certificate(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
     certificate = grasp.certificate
     assert certificate is not None
     contacts = certificate.contacts
-    R_WO = grasp.X_WO.rotation().matrix()
-    R_WCs, _ = contact_geometry(
-        np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts]), R_WO, certificate.p_OOcm
-    )
+    R_WCs = grasp.X_WO.rotation().matrix() @ contact_frames([c.n_OC for c in contacts])
     for k, contact in enumerate(contacts):
         p_WC = grasp.X_WO @ contact.p_OC
         meshcat.SetObject(f"{path}/points/{k}", Sphere(0.003), Rgba(*FORCE_COLOR))

@@ -17,7 +17,7 @@ from xdex_drake.hand.importing.mass import body_inertias, joint_efforts
 from xdex_drake.hand.importing.model import FileLink, FileModel
 from xdex_drake.hand.importing.palm import find_chains, find_hand
 from xdex_drake.hand.importing.rest import rest_posture
-from xdex_drake.hand.importing.shape import link_shapes, scaled, surface_points
+from xdex_drake.hand.importing.shape import link_shapes, surface_points
 from xdex_drake.hand.spheres import fit_spheres
 
 SLIP = 100.0
@@ -131,7 +131,7 @@ def _mend_scales(model: FileModel, decisions: Decisions) -> FileModel:
             for shape in shapes:
                 points = surface_points((Member(FileLink("", (shape,)), np.eye(4), True),))
                 large = len(points) > 0 and float(np.abs(points).max()) > max(SLIP * usual, 1.0)
-                mended.append(scaled(shape, 1e-3) if large else shape)
+                mended.append(shape.scaled(1e-3) if large else shape)
                 factors[kind] = factors.get(kind, False) or large
             if factors.get(kind):
                 link = replace(link, **{kind: tuple(mended)})

@@ -200,7 +200,7 @@ def placed(mesh: TriangleMesh, R_LG: Array, p_LG: Array) -> TriangleMesh:
     Returns:
         The mesh, in L.
     """
-    return TriangleMesh(mesh.vertices @ R_LG.T + p_LG, mesh.faces, mesh.source)
+    return mesh.moved(R_LG, p_LG)
 
 
 def ellipsoid(radii: Array) -> TriangleMesh:

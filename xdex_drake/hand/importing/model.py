@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.hand.shapes import circle
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,21 @@ class Cylinder:
     p1: Array
     radius: float
 
+    def moved(self, R: Array, p: Array) -> "Cylinder":
+        """See `shapes.Shape.moved`."""
+        return Cylinder(p + R @ self.p0, p + R @ self.p1, self.radius)
+
+    def scaled(self, factor: float) -> "Cylinder":
+        """See `shapes.Shape.scaled`."""
+        return Cylinder(factor * self.p0, factor * self.p1, factor * self.radius)
+
+    def corners(self) -> Array:
+        """See `shapes.Shape.corners`: points on both rims."""
+        d = self.p1 - self.p0
+        u = d / max(float(np.linalg.norm(d)), 1e-12)
+        rim = circle(u, self.radius, np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False))
+        return np.concatenate([self.p0 + rim, self.p1 + rim])
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -40,6 +56,18 @@ class TriangleMesh:
     vertices: Array
     faces: NDArray[np.int64]
     source: str = ""
+
+    def moved(self, R: Array, p: Array) -> "TriangleMesh":
+        """See `shapes.Shape.moved`."""
+        return TriangleMesh(self.vertices @ R.T + p, self.faces, self.source)
+
+    def scaled(self, factor: float) -> "TriangleMesh":
+        """See `shapes.Shape.scaled`."""
+        return TriangleMesh(factor * self.vertices, self.faces, self.source)
+
+    def corners(self) -> Array:
+        """See `shapes.Shape.corners`: all vertices that belong to a triangle."""
+        return self.vertices[np.unique(self.faces)] if len(self.faces) else np.zeros((0, 3))
 
 
 FileGeometry = Sphere | Capsule | Box | Cylinder | TriangleMesh
