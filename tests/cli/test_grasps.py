@@ -110,7 +110,7 @@ def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):
     finished = tuple(item.grasp for item in load_grasps(grasps))
 
     def interrupted(request, *, count, workers, time_limit_s, tally):
-        result = BatchResult(finished[:1], Tally(5, 1, 1, 1, Counter(cone=4)), 0.0)
+        result = BatchResult(finished[:1], Tally(5, 1, 1, Counter(cone=4)), 0.0)
         tally.merge(result.tally)
         yield result
         raise KeyboardInterrupt

@@ -52,9 +52,7 @@ def sections(grasp):
             "Found",
             "Grasps.",
             [
-                ReportRow(
-                    "allegro", "can", Tally(40, 12, 9, 9, Counter(cone=28), Counter(not_grasped=3), seconds=31.25)
-                ),
+                ReportRow("allegro", "can", Tally(40, 12, 9, Counter(cone=28), Counter(not_grasped=3), seconds=31.25)),
                 ReportRow(HOSTILE, HOSTILE, Tally(1, rejected=Counter({HOSTILE: 1}), seconds=0.5)),
             ],
             [

@@ -281,9 +281,9 @@ class LiftCommand:
         if rows:
             write_grasps(self.out, rows, metadata=hand_paths_entry(hand_paths(self.file)))
         lines = [line for simulator in simulators for line in _lift_lines(stored, simulator, verdicts[simulator])]
-        header = ("hand", "object", "simulator", "grasps", "lifted", "held", "as before", "failed by")
+        header = ("hand", "object", "simulator", "grasps", "lifted", "held", "as before", "failed by", "dropped by")
         if protocol.hold is None:  # Nothing is held then but what is lifted.
-            lines, header = [(*line[:5], *line[6:]) for line in lines], (*header[:5], *header[6:])
+            lines, header = [(*line[:5], *line[6:8]) for line in lines], (*header[:5], *header[6:8])
         print(table(lines, header))
         if len(simulators) > 1:
             both = [k for k in sorted(first) if all(k in one for one in verdicts.values())]
@@ -305,7 +305,8 @@ def _lift_lines(stored: Sequence[StoredGrasp], simulator: str, verdicts: Mapping
         tallies.setdefault(key, Tally()).add_lift(verdicts[k])
         same[key] += verdicts[k].success == row["success"]
     return [
-        (*key, simulator, t.simulated, t.lifted, t.held, same[key], counted(t.failed)) for key, t in tallies.items()
+        (*key, simulator, t.simulated, t.lifted, t.held, same[key], counted(t.failed), counted(t.dropped))
+        for key, t in tallies.items()
     ]
 
 

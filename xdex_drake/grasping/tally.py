@@ -20,9 +20,9 @@ class Tally:
         tried: Candidates that were finished, as a grasp or with a reason.
         certified: Candidates that were certified.
         lifted: Certified grasps that lifted.
-        held: Those of them that passed all of their protocol; the lift alone where it asks for no more.
         rejected: How often each reason rejected a candidate, by `Rejection.name`.
         failed: How often each reason failed a lift.
+        dropped: How often each reason failed what came after a lift that succeeded, where its protocol goes on.
         lost: What happened to work that gave no result: a process that crashed or ran out of time.
         seconds: Wall time spent, as whoever counts measures it [s].
     """
@@ -30,9 +30,9 @@ class Tally:
     tried: int = 0
     certified: int = 0
     lifted: int = 0
-    held: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     failed: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
     lost: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -49,26 +49,33 @@ class Tally:
 
     def add_lift(self, lift: Lift) -> None:
         """Counts the lift of a certified grasp."""
-        self.lifted += lift.success
-        self.held += lift.passed
-        if not lift.passed:
-            self.failed[lift.failure_reason or (lift.hold.reason if lift.hold else "")] += 1
+        if lift.success:
+            self.lifted += 1
+            if lift.hold is not None and not lift.hold.holds:
+                self.dropped[lift.hold.reason] += 1
+        else:
+            self.failed[lift.failure_reason] += 1
 
     def merge(self, other: Tally) -> None:
         """Adds the counts of another tally."""
         self.tried += other.tried
         self.certified += other.certified
         self.lifted += other.lifted
-        self.held += other.held
         self.rejected += other.rejected
         self.failed += other.failed
+        self.dropped += other.dropped
         self.lost += other.lost
         self.seconds += other.seconds
 
     @property
     def simulated(self) -> int:
-        """Grasps that were lifted, with success or not."""
-        return self.held + self.failed.total()
+        """Grasps that were simulated, with success or not."""
+        return self.lifted + self.failed.total()
+
+    @property
+    def held(self) -> int:
+        """Lifted grasps that passed what came after, where their protocol goes on."""
+        return self.lifted - self.dropped.total()
 
     @property
     def rate(self) -> str:
