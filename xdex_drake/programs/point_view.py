@@ -19,8 +19,9 @@ from xdex_drake.programs.point import Point
 from xdex_drake.programs.spheres import PAIR_SPACING, search_spheres, sphere_pairs
 from xdex_drake.programs.term import Pulls, total_pull
 
-FORCE_STEPS = 200
-"""Steps towards the forces of least unbalanced wrench; they start from the normals at every point anew."""
+FORCE_STEPS = 50
+"""Steps towards the forces of least unbalanced wrench, from the normals at every point anew; a thousand lower the
+energy of four contacts by another 7 %."""
 
 
 @dataclass(frozen=True)

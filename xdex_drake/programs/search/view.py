@@ -213,14 +213,12 @@ class BatchView:
     def _on_centers(self, pulls: Pulls) -> torch.Tensor | None:
         """Components of the gradient with respect to the spheres' centers, shape (B, 3, m)."""
         R_WO = self.problem.R_WO
-        on_distances = total_pull(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
-        on_centers = total_pull(pulls, "centers_W", lambda g: g.transpose(1, 2))
-        on_heights = total_pull(pulls, "heights")
-        parts = [part for part in (on_distances, on_centers) if part is not None]
-        if on_heights is None:
-            return sum(parts[1:], parts[0]) if parts else None
-        total = sum(parts, torch.zeros_like(self._centers)) if len(parts) != 1 else parts[0]
-        total[:, 2] += on_heights
+        total = total_pull(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
+        for name, rows in (("centers_W", slice(3)), ("heights", slice(2, 3))):
+            more = total_pull(pulls, name, lambda g: g.reshape(*g.shape[:2], -1).transpose(1, 2))
+            if more is not None:
+                total = torch.zeros_like(self._centers) if total is None else total
+                total[:, rows] += more
         return total
 
     def _on_contacts(self, pulls: Pulls) -> list[torch.Tensor]:
