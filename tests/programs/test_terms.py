@@ -172,7 +172,8 @@ def test_numpy_and_torch_give_the_same():
     p, n, f = rng.normal(size=(3, 4, 3)), unit(rng, 3, 4), rng.normal(size=(3, 4, 3))
     com, length = np.zeros(3), 0.1
     here = wrench_energy(p, n, f, com, length)
-    there = wrench_energy(*(torch.as_tensor(x) for x in (p, n, f, com)), length)
+    tp, tn, tf, tcom = (torch.as_tensor(x) for x in (p, n, f, com))
+    there = wrench_energy(tp, tn, tf, tcom, length)
     for a, b in zip(here, there, strict=True):
         assert np.abs(a - b.numpy()).max() < 1e-12
     d, r = rng.normal(size=(3, 7)), rng.uniform(size=7)

@@ -42,3 +42,16 @@ def like(array: A, values: Any) -> A:
     if isinstance(array, np.ndarray):
         return np.asarray(values, dtype=array.dtype)
     return sys.modules["torch"].as_tensor(values, dtype=array.dtype, device=array.device)  # type: ignore[attr-defined]
+
+
+def rotation_pull(R: Any, gradient: Any) -> Any:
+    """Gradient with respect to the angular velocity of rotations from that with respect to their entries.
+
+    Args:
+        R: Rotations, shape (..., 3, 3).
+        gradient: Gradient with respect to each entry, shape (..., 3, 3).
+
+    Returns:
+        The gradient, shape (..., 3).
+    """
+    return cross(R.swapaxes(-1, -2), gradient.swapaxes(-1, -2)).sum(-2)

@@ -106,10 +106,10 @@ class EnergyCost:
 
     def at(self, point: Point) -> tuple[float, Array]:
         """The term's value and its gradient with respect to the tangent, shape (size,), computed once for a point."""
-        key = f"cost {self.name}"
-        if key not in point.memo:
-            point.memo[key] = energy_at(self.term, point)
-        return point.memo[key]
+        key = f"term {self.name}"
+        if key not in point.memo or point.memo[key][0] is not self.term:
+            point.memo[key] = (self.term, energy_at(self.term, point))
+        return point.memo[key][1]
 
     def value(self, point: Point) -> float:
         """The cost at a point."""

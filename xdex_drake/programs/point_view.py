@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array, cross
 from xdex_drake.hand.description import Hand
+from xdex_drake.programs.arrays import rotation_pull
 from xdex_drake.programs.contact_forces import FORCE_FRICTION, relaxed_forces
 from xdex_drake.programs.grasp_types import approach_axis, contact_slots, finger_tips
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.spheres import PAIR_SPACING, search_spheres, sphere_pairs
 from xdex_drake.programs.term import Pulls, total_pull
 
-FORCE_STEPS = 200
-"""Steps towards the forces of least unbalanced wrench; they start from the normals at every point anew."""
+FORCE_STEPS = 50
+"""Steps towards the forces of least unbalanced wrench, from the normals at every point anew; a thousand lower the
+energy of four contacts by another 7 %."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ class PointView:
         gradient = self._of_points(pulls) + self._of_contacts(pulls) + self._of_links(pulls)
         for name, rows, through in (
             ("palm_W", slice(3), lambda g: cross(self.palm_W, g)),
-            ("R_WH", slice(3), lambda g: _torques(self.R_WH, g)),
+            ("R_WH", slice(3), lambda g: rotation_pull(self.R_WH, g)),
             ("p_WH", slice(3, 6), lambda g: g),
             ("q", slice(6, None), lambda g: g),
         ):
@@ -224,15 +226,10 @@ class PointView:
         """Of the links' poses."""
         k, gradient = self.point.k, np.zeros(self.point.moving)
         links = np.arange(len(self.hand.links))
-        on_rotations = total_pull(pulls, "R_WLs", lambda g: _torques(k.R_WLs, g))
+        on_rotations = total_pull(pulls, "R_WLs", lambda g: rotation_pull(k.R_WLs, g))
         if on_rotations is not None:
             gradient += np.einsum("ka,kab->b", on_rotations, k.angular_jacobian(links))
         on_origins = total_pull(pulls, "p_WLs")
         if on_origins is not None:
             gradient += k.pull_back_each(links, k.p_WLs, on_origins).sum(0)
         return gradient
-
-
-def _torques(R: Array, gradient: Array) -> Array:
-    """Gradient with respect to the angular velocity of rotations from that with respect to their entries."""
-    return cross(np.swapaxes(R, -1, -2), np.swapaxes(gradient, -1, -2)).sum(-2)

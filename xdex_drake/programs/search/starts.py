@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array, skew
 from xdex_drake.hand.description import Hand
@@ -63,26 +64,8 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     """
     rng = np.random.default_rng(seed)
     batched, settings = problem.batched, problem.settings
-    total = count * settings.oversample
-    center_H, direction_H = approach_axis(hand)
-    R_WHs = random_rotations(rng, 4 * total)
-    if settings.approach is not None:
-        wanted = np.array(settings.approach) / np.linalg.norm(settings.approach)
-        spread_out = wanted + 0.3 * rng.normal(size=(len(R_WHs), 3))
-        spread_out /= np.linalg.norm(spread_out, axis=1, keepdims=True)
-        R_WHs = turned_towards(R_WHs, direction_H, spread_out)
-    # From below the table no hand comes; straight sideways is as far as it goes.
-    approach = R_WHs @ direction_H
-    keep = np.flatnonzero(approach[:, 2] < 0.35)[:total]
-    R_WHs, approach = R_WHs[keep], approach[keep]
-    total = len(keep)
-    vertices = scene.X_WO @ scene.object.vertices.T  # (3, n)
-    low, high = vertices.min(1), vertices.max(1)
-    p_WOcm = scene.X_WO @ scene.object.p_OOcm
-    aim = p_WOcm + 0.3 * (high - low) * rng.uniform(-1.0, 1.0, size=(total, 3))
-    # Fingers come from the side that the palm is on: leave the palm outside the object.
-    p_WHs = aim - np.einsum("nab,b->na", R_WHs, center_H) - approach * rng.uniform(0.0, 0.04, size=(total, 1))
-    limits = hand.limits
+    R_WHs, p_WHs, approach = random_wrists(hand, scene, rng, count * settings.oversample, settings.approach)
+    limits, total = hand.limits, len(R_WHs)
     spread = 0.12 * (limits[1] - limits[0])
     qs = np.clip(hand.q_rest + spread * rng.normal(size=(total, len(hand.q_rest))), limits[0], limits[1])
     fingers = random_contact_sets(hand, rng, total, settings.contacts, settings.grasp_type)
@@ -96,15 +79,7 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     sunk = (problem.radii - centers[:, 2]).max(-1).values.clamp_min(0.0)
     distance, _ = problem.grid.nearest(problem.R_WO.T @ (centers - problem.p_WO[:, None]))
     inside = (problem.radii - distance).clamp_min(0.0).sum(-1)
-    cost = (inside + 10.0 * sunk).cpu().numpy()
-    octant = (approach > 0.0) @ np.array([4, 2, 1])
-    chosen: list[int] = []
-    queues = [list(np.flatnonzero(octant == o)[np.argsort(cost[octant == o])]) for o in range(8)]
-    while len(chosen) < min(count, total):
-        for queue in queues:
-            if queue and len(chosen) < count:
-                chosen.append(int(queue.pop(0)))
-    rows = np.array(chosen)
+    rows = best_of_octants(approach, (inside + 10.0 * sunk).cpu().numpy(), count)
     p_start = tensor(p_WHs[rows])
     p_start[:, 2] += sunk[torch.as_tensor(rows, device=batched.device)].clamp_max(0.05)
     mask = tensor(fingers[rows].astype(float))
@@ -115,3 +90,59 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
         fingers=mask,
         forces=torch.zeros((*mask.shape, 3), dtype=batched.dtype, device=batched.device),
     )
+
+
+def random_wrists(
+    hand: Hand, scene: Scene, rng: np.random.Generator, count: int, wish: tuple[float, float, float] | None
+) -> tuple[Array, Array, Array]:
+    """Random wrist poses from which a hand at rest would hold the object, none of them from below the table.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        rng: Source of randomness.
+        count: Greatest number of poses.
+        wish: Direction in W near which the palm shall come, of any length; any where None.
+
+    Returns:
+        R_WHs, shape (n, 3, 3), p_WHs [m], shape (n, 3), and the palm's directions in W, shape (n, 3).
+    """
+    center_H, direction_H = approach_axis(hand)
+    R_WHs = random_rotations(rng, 4 * count)
+    if wish is not None:
+        wanted = np.array(wish) / np.linalg.norm(wish)
+        spread_out = wanted + 0.3 * rng.normal(size=(len(R_WHs), 3))
+        spread_out /= np.linalg.norm(spread_out, axis=1, keepdims=True)
+        R_WHs = turned_towards(R_WHs, direction_H, spread_out)
+    # From below the table no hand comes; straight sideways is as far as it goes.
+    approach = R_WHs @ direction_H
+    keep = np.flatnonzero(approach[:, 2] < 0.35)[:count]
+    R_WHs, approach = R_WHs[keep], approach[keep]
+    vertices = scene.X_WO @ scene.object.vertices.T  # (3, n)
+    low, high = vertices.min(1), vertices.max(1)
+    p_WOcm = scene.X_WO @ scene.object.p_OOcm
+    aim = p_WOcm + 0.3 * (high - low) * rng.uniform(-1.0, 1.0, size=(len(keep), 3))
+    # Fingers come from the side that the palm is on: leave the palm outside the object.
+    p_WHs = aim - np.einsum("nab,b->na", R_WHs, center_H) - approach * rng.uniform(0.0, 0.04, size=(len(keep), 1))
+    return R_WHs, p_WHs, approach
+
+
+def best_of_octants(directions: Array, cost: Array, count: int) -> NDArray[np.int64]:
+    """The cheapest of each octant of directions in turn.
+
+    Args:
+        directions: Directions, shape (n, 3).
+        cost: What each costs, shape (n,).
+        count: How many are wanted.
+
+    Returns:
+        Their indices, shape (min(count, n),).
+    """
+    octant = (directions > 0.0) @ np.array([4, 2, 1])
+    queues = [list(np.flatnonzero(octant == o)[np.argsort(cost[octant == o])]) for o in range(8)]
+    chosen: list[int] = []
+    while len(chosen) < min(count, len(cost)):
+        for queue in queues:
+            if queue and len(chosen) < count:
+                chosen.append(int(queue.pop(0)))
+    return np.array(chosen, dtype=np.int64)

@@ -12,7 +12,7 @@ import torch
 
 from xdex_drake.hand.batched_kinematics import LinkPoses
 from xdex_drake.hand.description import Hand
-from xdex_drake.programs.arrays import cross
+from xdex_drake.programs.arrays import cross, rotation_pull
 from xdex_drake.programs.contact_forces import relaxed_forces
 from xdex_drake.programs.search.candidates import State
 from xdex_drake.programs.search.problem import SearchProblem
@@ -190,7 +190,7 @@ class BatchView:
         for name, columns, through in (
             ("q", slice(6, None), lambda g: g),
             ("palm_W", slice(3), lambda g: cross(self.palm_W, g)),
-            ("R_WH", slice(3), lambda g: _torques(self.R_WH, g)),
+            ("R_WH", slice(3), lambda g: rotation_pull(self.R_WH, g)),
             ("p_WH", slice(3, 6), lambda g: g),
         ):
             total = total_pull(pulls, name, through)
@@ -213,23 +213,23 @@ class BatchView:
     def _on_centers(self, pulls: Pulls) -> torch.Tensor | None:
         """Components of the gradient with respect to the spheres' centers, shape (B, 3, m)."""
         R_WO = self.problem.R_WO
-        on_distances = total_pull(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
-        on_centers = total_pull(pulls, "centers_W", lambda g: g.transpose(1, 2))
-        on_heights = total_pull(pulls, "heights")
-        parts = [part for part in (on_distances, on_centers) if part is not None]
-        if on_heights is None:
-            return torch.stack(parts).sum(dim=0) if len(parts) > 1 else next(iter(parts), None)
-        total = sum(parts, torch.zeros_like(self._centers)) if len(parts) != 1 else parts[0]
-        total[:, 2] += on_heights
+        total = total_pull(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
+        for name, rows in (("centers_W", slice(3)), ("heights", slice(2, 3))):
+            more = total_pull(pulls, name, lambda g: g.reshape(*g.shape[:2], -1).transpose(1, 2))
+            if more is not None:
+                total = torch.zeros_like(self._centers) if total is None else total
+                total[:, rows] += more
         return total
 
     def _on_contacts(self, pulls: Pulls) -> list[torch.Tensor]:
         """Wrenches on the links by what pulls contact points, normals, distances and pads."""
-        d, outward, H = self._smooth
-        Ht = H.transpose(-1, -2)
         on_points, on_normals = total_pull(pulls, "contacts_W"), total_pull(pulls, "normals_W")
         on_distances = total_pull(pulls, "contact_distances")
         torque = total_pull(pulls, "pads_W", lambda g: cross(self.pads_W, g))
+        if on_points is None and on_normals is None and on_distances is None and torque is None:
+            return []
+        d, outward, H = self._smooth
+        Ht = H.transpose(-1, -2)
         # A contact is the surface point nearest to its sphere: dp = (1 - n n^T - d H) dc, dn_in = -H dc.
         parts = []
         if on_points is not None:
@@ -239,26 +239,19 @@ class BatchView:
             parts.append(-(Ht @ on_normals[..., None])[..., 0])
         if on_distances is not None:
             parts.append(on_distances[..., None] * outward)
-        if not parts and torque is None:
-            return []
         on_centers = sum(parts[1:], parts[0]) if parts else torch.zeros_like(outward)
         batched, links = self.problem.batched, self.problem.tip_links
         return [batched.wrenches(links, self._contact_centers, on_centers, torque=torque)]
 
     def _on_link_poses(self, pulls: Pulls) -> list[torch.Tensor]:
         """Wrenches on the links by what pulls their poses."""
-        torque = total_pull(pulls, "R_WLs", lambda g: _torques(self.R_WLs, g))
+        torque = total_pull(pulls, "R_WLs", lambda g: rotation_pull(self.R_WLs, g))
         force = total_pull(pulls, "p_WLs")
         if torque is None and force is None:
             return []
         links = torch.arange(self.p_WLs.shape[1], device=self.p_WLs.device)
         force = torch.zeros_like(self.p_WLs) if force is None else force
         return [self.problem.batched.wrenches(links, self.p_WLs, force, torque=torque)]
-
-
-def _torques(R: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
-    """Gradient with respect to the angular velocity of rotations from that with respect to their entries."""
-    return cross(R.transpose(-1, -2), gradient.transpose(-1, -2)).sum(-2)
 
 
 def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
