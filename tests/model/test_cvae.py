@@ -4,9 +4,10 @@ import torch
 from pydrake.math import RigidTransform
 
 from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.link_pose import link_pose_vectors
 from xdex_drake.model.batches import BatchSizes, make_batch, pack
 from xdex_drake.model.cvae import CVAE, CVAEConfig, HandBatch, denormalize_poses, normalize_poses
-from xdex_drake.model.features import hand_features, link_pose_vectors
+from xdex_drake.model.features import hand_features
 from xdex_drake.model.losses import (
     embedding_loss,
     keypoint_loss,

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Array
+from xdex_drake.hand.link_pose import link_pose_vectors
 from xdex_drake.model.cvae import HandBatch, normalize_poses
-from xdex_drake.model.features import HandFeatures, ObjectFeatures, link_pose_vectors
+from xdex_drake.model.features import HandFeatures, ObjectFeatures
 from xdex_drake.model.networks import LENGTH_UNIT
 
 

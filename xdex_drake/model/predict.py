@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from xdex_drake.hand.description import Array
+from xdex_drake.hand.link_pose import link_pose_vectors, link_poses_from_vectors
 from xdex_drake.model.cvae import CVAE, HandBatch, denormalize_poses, normalize_poses
-from xdex_drake.model.features import HandFeatures, ObjectFeatures, link_pose_vectors, link_poses_from_vectors
+from xdex_drake.model.features import HandFeatures, ObjectFeatures
 
 
 @dataclass(frozen=True)
