@@ -6,7 +6,8 @@ import torch
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands, rotation_step
-from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.hand.importing.bodies import link_poses
+from xdex_drake.hand.kinematics import Configuration, forward_kinematics
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.scene.plant import build_plant
 
@@ -149,3 +150,25 @@ def test_directional_derivatives_agree_with_the_jacobian(name):
     points, along = k.points(links, rng.normal(size=(9, 3)) * 0.02), rng.normal(size=(9, 3))
     rows = np.einsum("ka,kab->kb", along, k.jacobian(links, points))
     assert np.abs(k.pull_back_each(links, points, along) - rows).max() < 1e-13
+
+
+@pytest.mark.parametrize("name", ["ability", "allegro"])
+def test_many_postures_give_what_each_gives(name):
+    hand, rng = load_hand(name), np.random.default_rng(5)
+    X_WH, _ = random_configuration(hand, rng)
+    qs = rng.uniform(*hand.limits, size=(3, 4, len(hand.joint_names)))
+    R_WLs, p_WLs = forward_kinematics(hand, X_WH, qs)
+    assert R_WLs.shape == (3, 4, len(hand.links), 3, 3) and p_WLs.shape == (3, 4, len(hand.links), 3)
+    for index in np.ndindex(3, 4):
+        R, p = forward_kinematics(hand, X_WH, qs[index])
+        assert np.array_equal(R_WLs[index], R) and np.array_equal(p_WLs[index], p)
+
+
+def test_poses_for_the_importer_are_those_in_the_base():
+    hand, rng = load_hand("shadow"), np.random.default_rng(6)
+    qs = rng.uniform(*hand.limits, size=(5, len(hand.joint_names)))
+    R_BLs, p_BLs = link_poses(hand, qs)
+    assert R_BLs[:, 0] == pytest.approx(np.broadcast_to(np.eye(3), (5, 3, 3)), abs=1e-15)
+    R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), qs)
+    assert hand.R_HB @ R_BLs == pytest.approx(R_HLs, abs=1e-14)
+    assert p_BLs @ hand.R_HB.T + hand.p_HB == pytest.approx(p_HLs, abs=1e-14)

@@ -4,8 +4,9 @@ import torch
 from pydrake.math import RigidTransform
 
 from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.link_pose import link_pose_vectors
 from xdex_drake.learning.batches import BatchSizes, make_batch, pack
-from xdex_drake.learning.features import hand_features, link_pose_vectors
+from xdex_drake.learning.features import hand_features
 from xdex_drake.learning.losses import (
     embedding_loss,
     keypoint_loss,

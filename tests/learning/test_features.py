@@ -11,8 +11,6 @@ from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.learning.features import (
     hand_features,
     heading,
-    link_pose_vectors,
-    link_poses_from_vectors,
     object_features,
     object_point,
     sample_link,
@@ -28,31 +26,6 @@ def _random_rotations(rng, n):
 def test_spd_of_a_tree():
     spd = shortest_path_distances(np.array([-1, 0, 1, 0, 3]))
     assert spd.tolist() == [[0, 1, 2, 1, 2], [1, 0, 1, 2, 3], [2, 1, 0, 3, 4], [1, 2, 3, 0, 1], [2, 3, 4, 1, 0]]
-
-
-def test_pose_vectors_round_trip():
-    rng = np.random.default_rng(0)
-    R, R0, p = _random_rotations(rng, 6), _random_rotations(rng, 6), rng.normal(size=(6, 3))
-    vectors = link_pose_vectors(R, p, R0)
-    assert vectors.shape == (6, 9)
-    np.testing.assert_allclose(vectors[:, :3], p)
-    vectors[:, 3:6] *= 1.7  # Gram-Schmidt takes out scale and skew
-    vectors[:, 6:] += 0.3 * vectors[:, 3:6]
-    R_back, p_back = link_poses_from_vectors(vectors, R0)
-    np.testing.assert_allclose(R_back, R, atol=1e-12)
-    np.testing.assert_allclose(p_back, p, atol=1e-12)
-
-
-def test_choice_of_link_axes_drops_out(toy_hand):
-    # Turn the axes of a link: its pose vector must not notice.
-    rng = np.random.default_rng(1)
-    R_WH = _random_rotations(rng, 1)[0]
-    R_HLs, p_HLs = forward_kinematics(toy_hand, RigidTransform(), np.full(len(toy_hand.joint_names), 0.7))
-    R_HLs_zero = hand_features(toy_hand).R_HLs_zero
-    turn = _random_rotations(rng, len(R_HLs))
-    one = link_pose_vectors(R_WH @ R_HLs, p_HLs @ R_WH.T, R_HLs_zero)
-    other = link_pose_vectors(R_WH @ R_HLs @ turn, p_HLs @ R_WH.T, R_HLs_zero @ turn)
-    np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_hand_features(toy_hand):

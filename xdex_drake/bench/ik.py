@@ -8,7 +8,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.arrays import Array
 from xdex_drake.bench.watch import Tick, Watch
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.kinematics import forward_kinematics, zero_configuration
+from xdex_drake.hand.link_pose import rotations_since_zero
 from xdex_drake.programs.link_pose_ik import link_pose_ik
 from xdex_drake.programs.search import random_rotations
 
@@ -28,18 +29,18 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> tuple[Array, Array, Ar
     rng = np.random.default_rng(seed)
     R_WHs, p_WHs = random_rotations(rng, count), rng.uniform(-0.3, 0.3, size=(count, 3))
     qs = rng.uniform(*hand.limits, size=(count, len(hand.joint_names)))
-    R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
+    R_HLs, _ = zero_configuration(hand)
     poses = [
         forward_kinematics(hand, RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p), q)
         for R, p, q in zip(R_WHs, p_WHs, qs, strict=True)
     ]
-    R_WLs = np.array([R for R, _ in poses]) @ np.swapaxes(R_HLs, 1, 2)
+    R_WLs = rotations_since_zero(np.array([R for R, _ in poses]), R_HLs)
     return R_WLs, np.array([p for _, p in poses]), R_WHs, qs
 
 
 def tip_errors(hand: Hand, p_WLs: Array, R_WLs: Array, X_WHs: list[RigidTransform], qs: Array) -> Array:
     """Distance of the fingertips from those of the targets [m], shape (count, n_fingers)."""
-    R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
+    R_HLs, _ = zero_configuration(hand)
     errors = np.empty((len(qs), len(hand.fingers)))
     for row, (X_WH, q) in enumerate(zip(X_WHs, qs, strict=True)):
         R, p = forward_kinematics(hand, X_WH, q)

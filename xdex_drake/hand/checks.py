@@ -19,9 +19,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from scipy.spatial.distance import cdist
 
-from xdex_drake.arrays import Array, skew
+from xdex_drake.arrays import Array
 from xdex_drake.hand.collision import OVERLAP_MARGIN, ignored_indices
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.plant import ShapeOf, add_hand, contact_shape, drake_shape
 
 LINKS = (6, 40)
@@ -239,8 +240,8 @@ class _Poses:
 
     Attributes:
         q: Postures, shape (M, n).
-        R: Rotations, shape (n_links, M, 3, 3).
-        p: Origins [m], shape (n_links, M, 3).
+        R: Rotations, shape (M, n_links, 3, 3).
+        p: Origins [m], shape (M, n_links, 3).
     """
 
     q: Array
@@ -251,7 +252,8 @@ class _Poses:
         """Tip points [m] and pad normals of finger k, shapes (M, 3)."""
         finger = hand.fingers[k]
         link = hand.link_index[finger.tip_link]
-        return self.p[link] + self.R[link] @ finger.p_LTip, self.R[link] @ finger.n_LPad
+        R = self.R[:, link]
+        return self.p[:, link] + R @ finger.p_LTip, R @ finger.n_LPad
 
 
 def _sample(hand: Hand, count: int) -> Array:
@@ -260,24 +262,7 @@ def _sample(hand: Hand, count: int) -> Array:
 
 
 def _poses(hand: Hand, q: Array) -> _Poses:
-    """As `forward_kinematics`, for many postures at once, the wrist at the origin."""
-    q_full = hand.q_full(q)
-    M = len(q)
-    R = np.empty((len(hand.links), M, 3, 3))
-    p = np.empty((len(hand.links), M, 3))
-    R[0], p[0] = hand.R_HB, hand.p_HB
-    for k, joint in enumerate(hand.joints):
-        parent = int(hand.parents[k + 1])
-        p[k + 1] = p[parent] + R[parent] @ joint.p_PJ
-        if joint.kind == "revolute":
-            K = skew(joint.axis)
-            s, c = np.sin(q_full[:, k]), 1.0 - np.cos(q_full[:, k])
-            turn = joint.R_PJ @ (np.eye(3) + s[:, None, None] * K + c[:, None, None] * (K @ K))
-            R[k + 1] = R[parent] @ turn
-        else:
-            R[k + 1] = R[parent] @ joint.R_PJ
-            p[k + 1] += q_full[:, k, None] * (R[k + 1] @ joint.axis)
-    return _Poses(q, R, p)
+    return _Poses(q, *forward_kinematics(hand, RigidTransform(), q))
 
 
 class _OverlapTest:
@@ -301,7 +286,7 @@ class _OverlapTest:
 
     def pairs(self, poses: _Poses, k: int) -> list[tuple[int, int]]:
         """Pairs of links that overlap at posture k."""
-        p = poses.p[self._links, k] + np.einsum("nab,nb->na", poses.R[self._links, k], self._centers)
+        p = poses.p[k, self._links] + np.einsum("nab,nb->na", poses.R[k, self._links], self._centers)
         square = (p**2).sum(1)
         gaps = square[:, None] + square[None] - 2.0 * p @ p.T
         i, j = np.nonzero((gaps <= self._reach**2) & self._counted)

@@ -1,4 +1,4 @@
-"""Kinematics of a hand at one configuration, in NumPy; for many at once see `batched_kinematics`.
+"""Kinematics of a hand in NumPy; for many configurations at once, with gradients, see `batched_kinematics`.
 
 A configuration is (X_WH, q). Its tangent is (w_WH, v_WH, qdot), of dimension 6 + n: angular velocity of the wrist
 frame, velocity of its origin, both in W, then the rates of the actuated joints. A point fixed to link L moves with
@@ -45,29 +45,41 @@ def rotation_about(axis: Array, angle: float) -> Array:
 
 
 def forward_kinematics(hand: Hand, X_WH: RigidTransform, q: Array) -> tuple[Array, Array]:
-    """Poses of all links.
+    """Poses of all links, at one posture or at many.
 
     Args:
         hand: The hand.
         X_WH: Pose of the wrist frame.
-        q: Actuated joint values [rad or m], shape (n,).
+        q: Actuated joint values [rad or m], shape (..., n).
 
     Returns:
-        R_WLs, shape (n_links, 3, 3), and p_WLs [m], shape (n_links, 3).
+        R_WLs, shape (..., n_links, 3, 3), and p_WLs [m], shape (..., n_links, 3).
     """
     tree, q_full = _tree(hand), hand.q_full(q)
     turn, slide = q_full * tree.turns, q_full - q_full * tree.turns
     X_PLs = (
         tree.still
-        + np.sin(turn)[:, None, None] * tree.sine
-        + (1.0 - np.cos(turn))[:, None, None] * tree.versine
-        + slide[:, None, None] * tree.slide
+        + np.sin(turn)[..., None, None] * tree.sine
+        + (1.0 - np.cos(turn))[..., None, None] * tree.versine
+        + slide[..., None, None] * tree.slide
     )
-    X = np.empty((len(hand.links), 4, 4))
-    X[0] = X_WH.GetAsMatrix4() @ tree.X_HB
+    X = np.empty((*q_full.shape[:-1], len(hand.links), 4, 4))
+    X[..., 0, :, :] = X_WH.GetAsMatrix4() @ tree.X_HB
     for links, parents in tree.levels:
-        X[links] = X[parents] @ X_PLs[links - 1]
-    return np.ascontiguousarray(X[:, :3, :3]), np.ascontiguousarray(X[:, :3, 3])
+        X[..., links, :, :] = X[..., parents, :, :] @ X_PLs[..., links - 1, :, :]
+    return np.ascontiguousarray(X[..., :3, :3]), np.ascontiguousarray(X[..., :3, 3])
+
+
+def zero_configuration(hand: Hand) -> tuple[Array, Array]:
+    """Link poses in the wrist frame with all actuated joints at zero, within their limits or not.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Rotations R_HL(0), shape (n_links, 3, 3), and origins p_HL(0) [m], shape (n_links, 3).
+    """
+    return forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
 
 
 @dataclass(frozen=True)

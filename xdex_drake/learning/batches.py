@@ -9,7 +9,8 @@ from torch import Tensor
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.learning.features import HandFeatures, ObjectFeatures, link_pose_vectors
+from xdex_drake.hand.link_pose import link_pose_vectors
+from xdex_drake.learning.features import HandFeatures, ObjectFeatures
 from xdex_drake.learning.models.cvae import HandBatch, normalize_poses
 from xdex_drake.learning.models.layers import LENGTH_UNIT
 

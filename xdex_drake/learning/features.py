@@ -4,12 +4,11 @@ import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydrake.math import RigidTransform
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand, Link
 from xdex_drake.hand.heading import heading, object_point
-from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.kinematics import zero_configuration
 
 __all__ = [
     "FEATURE_SCHEMA",
@@ -17,12 +16,9 @@ __all__ = [
     "ObjectFeatures",
     "hand_features",
     "heading",
-    "link_pose_vectors",
-    "link_poses_from_vectors",
     "object_features",
     "object_point",
     "shortest_path_distances",
-    "zero_configuration",
 ]
 
 FEATURE_SCHEMA = 1
@@ -141,18 +137,6 @@ def object_features(
     return ObjectFeatures(p_WPoints - center, center, name)
 
 
-def zero_configuration(hand: Hand) -> tuple[Array, Array]:
-    """Link poses in the wrist frame with all actuated joints at zero, within their limits or not.
-
-    Args:
-        hand: The hand.
-
-    Returns:
-        Rotations R_HL, shape (L, 3, 3), and origins p_HL [m], shape (L, 3).
-    """
-    return forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
-
-
 def shortest_path_distances(parents: np.ndarray) -> np.ndarray:
     """Number of joints on the path between every two links of a tree.
 
@@ -168,38 +152,6 @@ def shortest_path_distances(parents: np.ndarray) -> np.ndarray:
             spd[k, :k] = spd[parent, :k] + 1
             spd[:k, k] = spd[k, :k]
     return spd
-
-
-def link_pose_vectors(R_WLs: Array, p_WLs: Array, R_HLs_zero: Array) -> Array:
-    """Link pose vectors: origin of L, then the first two columns of R_WL R_HL(0)^T.
-
-    Args:
-        R_WLs: Rotations of the links in W, shape (..., L, 3, 3).
-        p_WLs: Origins of the links in W [m], shape (..., L, 3).
-        R_HLs_zero: Rotations of the links in H at the zero configuration, shape (L, 3, 3).
-
-    Returns:
-        Vectors, shape (..., L, 9).
-    """
-    R = R_WLs @ np.swapaxes(R_HLs_zero, -1, -2)
-    return np.concatenate([p_WLs, R[..., 0], R[..., 1]], axis=-1)
-
-
-def link_poses_from_vectors(vectors: Array, R_HLs_zero: Array) -> tuple[Array, Array]:
-    """Inverse of `link_pose_vectors`; the two columns are made orthonormal by Gram-Schmidt first.
-
-    Args:
-        vectors: Link pose vectors, shape (..., L, 9).
-        R_HLs_zero: Rotations of the links in H at the zero configuration, shape (L, 3, 3).
-
-    Returns:
-        Rotations R_WL, shape (..., L, 3, 3), and origins p_WL [m], shape (..., L, 3).
-    """
-    x = vectors[..., 3:6] / np.linalg.norm(vectors[..., 3:6], axis=-1, keepdims=True)
-    y = vectors[..., 6:9] - np.sum(vectors[..., 6:9] * x, axis=-1, keepdims=True) * x
-    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    R = np.stack([x, y, np.cross(x, y)], axis=-1)
-    return R @ R_HLs_zero, vectors[..., :3].copy()
 
 
 def sample_link(link: Link, count: int, rng: np.random.Generator) -> Array:

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from xdex_drake.arrays import Array
-from xdex_drake.learning.features import HandFeatures, ObjectFeatures, link_pose_vectors, link_poses_from_vectors
+from xdex_drake.hand.link_pose import link_pose_vectors, link_poses_from_vectors
+from xdex_drake.learning.features import HandFeatures, ObjectFeatures
 from xdex_drake.learning.models.cvae import CVAE, HandBatch, denormalize_poses, normalize_poses
 
 

@@ -13,8 +13,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import zero_configuration
+from xdex_drake.hand.link_pose import rotations_since_zero
 from xdex_drake.learning.checkpoint import load_checkpoint
-from xdex_drake.learning.features import hand_features, object_features, zero_configuration
+from xdex_drake.learning.features import hand_features, object_features
 from xdex_drake.learning.models.cvae import CVAE
 from xdex_drake.learning.predict import Prediction, sample
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
@@ -63,8 +65,7 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     """
     R_HLs, _ = zero_configuration(hand)
     # The link pose vector's rotation, from which a vendor's choice of link axes has dropped out.
-    R = prediction.R_WLs @ np.swapaxes(R_HLs, -1, -2)
-    found = link_pose_ik(hand, R, prediction.p_WLs)
+    found = link_pose_ik(hand, rotations_since_zero(prediction.R_WLs, R_HLs), prediction.p_WLs)
     fingers = np.array(
         [
             touching_fingers(

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydrake.math import RigidTransform
 
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.grasping.finish import finish_grasp
 from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.kinematics import forward_kinematics, zero_configuration
+from xdex_drake.hand.link_pose import rotations_since_zero
 from xdex_drake.problems.files import Problem, force_closure_programs, load_problem, problem_scene
 from xdex_drake.programs.link_pose_ik import link_pose_ik_program
 from xdex_drake.programs.obstacles import Obstacle, find_obstacles
@@ -157,8 +157,8 @@ def _programs_from_source(problem: Problem, hand: Hand, scene: Scene) -> Iterato
     if source.hand.name != hand.name:
         raise ProblemFileError(f"{problem.path}: source {problem.source} has another hand; link poses need the same")
     R_WLs, p_WLs = forward_kinematics(hand, source.grasp.X_WH, source.grasp.q)
-    R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
-    R, rng = R_WLs @ np.swapaxes(R_HLs, 1, 2), np.random.default_rng(problem.seed)
+    R_HLs, _ = zero_configuration(hand)
+    R, rng = rotations_since_zero(R_WLs, R_HLs), np.random.default_rng(problem.seed)
     for _ in range(problem.starts):
         noise = problem.jitter * rng.standard_normal(p_WLs.shape)
         yield link_pose_ik_program(hand, scene, R, p_WLs + noise, settings=problem.polish)

@@ -20,7 +20,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.arrays import Array
 from xdex_drake.hand.batched_kinematics import BatchedHand, LinkPoses, rotation_step
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.kinematics import Configuration, forward_kinematics
+from xdex_drake.hand.kinematics import Configuration, forward_kinematics, zero_configuration
 
 ARM = 0.03
 """Length that turns a link's rotation error into a distance [m]; about half a finger's width times three."""
@@ -73,7 +73,7 @@ def link_pose_targets(hand: Hand, R_WLs: Array, p_WLs: Array, links: NDArray[np.
         Three points a link.
     """
     chosen = np.arange(len(hand.links)) if links is None else links
-    R_HLs, _ = forward_kinematics(hand, RigidTransform(), np.zeros(len(hand.joint_names)))
+    R_HLs, _ = zero_configuration(hand)
     points, targets = [], []
     for axis in (None, 0, 1):
         if axis is None:

@@ -3,13 +3,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Coupling, Hand, Joint, Link
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileJoint, FileLink, FileModel
-from xdex_drake.hand.kinematics import rotation_about
+from xdex_drake.hand.kinematics import forward_kinematics, rotation_about
 
 NO_RANGE = 1e-6
 """A joint whose limits are nearer than this does not move [rad or m]."""
@@ -69,23 +70,8 @@ def link_poses(hand: Hand, qs: Array) -> tuple[Array, Array]:
     Returns:
         R_BLs, shape (N, n_links, 3, 3), and p_BLs [m], shape (N, n_links, 3).
     """
-    q_full = hand.q_full(np.atleast_2d(qs))
-    R = np.empty((len(q_full), len(hand.links), 3, 3))
-    p = np.empty((len(q_full), len(hand.links), 3))
-    R[:, 0], p[:, 0] = np.eye(3), 0.0
-    for k, joint in enumerate(hand.joints):
-        parent = hand.parents[k + 1]
-        R_BJ = R[:, parent] @ joint.R_PJ
-        p[:, k + 1] = p[:, parent] + R[:, parent] @ joint.p_PJ
-        if joint.kind == "revolute":
-            x, y, z = joint.axis
-            K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            s, c = np.sin(q_full[:, k])[:, None, None], np.cos(q_full[:, k])[:, None, None]
-            R[:, k + 1] = R_BJ @ (np.eye(3) + s * K + (1.0 - c) * (K @ K))
-        else:
-            R[:, k + 1] = R_BJ
-            p[:, k + 1] += (R_BJ @ joint.axis) * q_full[:, k, None]
-    return R, p
+    X_BH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(hand.R_HB), hand.p_HB).inverse()
+    return forward_kinematics(hand, X_BH, np.atleast_2d(qs))
 
 
 def build_tree(
