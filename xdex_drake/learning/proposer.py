@@ -13,8 +13,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.grasping.finish import Outcome, polish
 from xdex_drake.hand.description import Hand
 from xdex_drake.learning.features import hand_features, object_features, zero_configuration
-from xdex_drake.learning.models.cvae import CVAE
 from xdex_drake.learning.predict import Prediction, sample
+from xdex_drake.learning.protocol import Model
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.link_pose_ik import link_pose_ik, touching_fingers
 from xdex_drake.programs.retargeting import REFINEMENT
@@ -30,7 +30,7 @@ def default_checkpoint() -> Path:
     return Path(__file__).parent / "weights" / "small"
 
 
-def predict(model: CVAE, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Prediction:
+def predict(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Prediction:
     """Draws link poses for a hand on a scene.
 
     Args:
@@ -43,8 +43,9 @@ def predict(model: CVAE, hand: Hand, scene: Scene, *, count: int, seed: int = 0)
     Returns:
         Link poses in W.
     """
-    points_W, _ = point_cloud(scene, OBJECT_POINTS, seed=0)
-    cloud = object_features(points_W, scene.X_WO @ scene.object.p_OOcm, count=OBJECT_POINTS, seed=0)
+    points_W, normals_W = point_cloud(scene, OBJECT_POINTS, seed=0)
+    center_W = scene.X_WO @ scene.object.p_OOcm
+    cloud = object_features(points_W, center_W, count=OBJECT_POINTS, seed=0, n_WPoints=normals_W)
     return sample(model, hand_features(hand), cloud, count, seed=seed)
 
 
@@ -74,8 +75,44 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     return Candidates(found.R_WHs, found.p_WHs, found.qs, fingers, found.errors, {})
 
 
+def draw_candidates(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Candidates:
+    """Predicted grasps as configurations near which a program looks for a grasp: drawn, solved for, refined in a batch.
+
+    Args:
+        model: The model.
+        hand: The hand; the model need not have seen it.
+        scene: The scene.
+        count: Number of predictions.
+        seed: Seed of the draws.
+
+    Returns:
+        One candidate a prediction, in its order.
+    """
+    raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
+    return refine(hand, scene, raw, settings=REFINEMENT)
+
+
+def finish_candidate(
+    hand: Hand, scene: Scene, candidates: Candidates, k: int, *, settings: PolishSettings | None = None
+) -> Outcome:
+    """A certified grasp near a candidate, not lifted yet.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        candidates: Candidates, as `draw_candidates` gives them.
+        k: Which of them.
+        settings: Numbers of the hard constraints; the defaults where None.
+
+    Returns:
+        The grasp, or the reason why there is none.
+    """
+    X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(candidates.R_WHs[k]), candidates.p_WHs[k])
+    return polish(polish_program(hand, scene, X_WH, candidates.qs[k], candidates.fingers[k], settings=settings))
+
+
 def propose(
-    model: CVAE,
+    model: Model,
     hand: Hand,
     scene: Scene,
     *,
@@ -97,13 +134,10 @@ def propose(
         One outcome a prediction, failed ones with their reason.
     """
     start = time.perf_counter()
-    raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
-    refined = refine(hand, scene, raw, settings=REFINEMENT)
+    candidates = draw_candidates(model, hand, scene, count=count, seed=seed)
     share = (time.perf_counter() - start) / count
     for k in range(count):
-        X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(refined.R_WHs[k]), refined.p_WHs[k])
-        program = polish_program(hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=settings)
-        outcome = polish(program)
+        outcome = finish_candidate(hand, scene, candidates, k, settings=settings)
         if outcome.grasp is not None:
             name = f"{hand.name}-{scene.object.name}-predicted-{seed}-{k}"
             outcome = Outcome(replace(outcome.grasp, grasp_id=name, seconds=outcome.grasp.seconds + share), "")
