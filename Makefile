@@ -14,12 +14,13 @@ PYTHON ?= $(shell for p in python3.11 python3 python3.12 python3.13 python3.14 p
 # One thread a process: the tests run in two processes, and small matrices gain nothing from more.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help demo test check format lint types wheel clean
+.PHONY: help demo test check format lint types wheel torch-only clean
 
 help:
 	@echo "make demo    the whole path in minutes; writes $(OUT)/index.html"
 	@echo "make test    the tests"
 	@echo "make check   format, lint, types, and the built wheel in an empty folder"
+	@echo "make torch-only  training where only torch, NumPy, safetensors, PyYAML and tqdm are installed"
 	@echo "make format  format the code and mend what the linter can"
 	@echo "make clean   remove what was built, but not $(VENV)"
 
@@ -53,6 +54,20 @@ wheel: $(STAMP)
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation --outdir dist
 	$(ONE_THREAD) XDEX_WHEEL_DIR=dist $(BIN)/python -m pytest tests/packaging
+
+# Training must run on a machine that has no Drake: an environment of its own, a tiny pack, a few steps.
+TORCH_ONLY := build/torch-only
+
+$(TORCH_ONLY)/venv/.installed: constraints.txt
+	$(PYTHON) -m venv $(TORCH_ONLY)/venv
+	$(TORCH_ONLY)/venv/bin/python -m pip install --quiet --constraint constraints.txt torch numpy safetensors pyyaml tqdm
+	@touch $@
+
+torch-only: $(TORCH_ONLY)/venv/.installed
+	rm -rf $(TORCH_ONLY)/model
+	PYTHONPATH=. $(ONE_THREAD) $(TORCH_ONLY)/venv/bin/python tests/learning/tiny_pack.py $(TORCH_ONLY)/pack.safetensors
+	PYTHONPATH=. $(ONE_THREAD) $(TORCH_ONLY)/venv/bin/python -m xdex_drake.learning.training tests/learning/tiny.yaml \
+		--pack $(TORCH_ONLY)/pack.safetensors --out $(TORCH_ONLY)/model
 
 format: $(STAMP)
 	$(BIN)/ruff format .

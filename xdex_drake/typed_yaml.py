@@ -51,6 +51,25 @@ def read_typed_yaml(path: str | Path, cls: type[T], *, error: type[XdexError] = 
     return typing.cast(T, _read(values, cls, str(file), "", error))
 
 
+def from_plain(values: Any, cls: type[T], source: str, *, field: str = "", error: type[XdexError] = ConfigError) -> T:
+    """Reads plain dictionaries and lists, as YAML and JSON give them, into a frozen dataclass.
+
+    Args:
+        values: A mapping whose keys are the dataclass's fields; what it leaves out keeps its default.
+        cls: The dataclass; see `read_typed_yaml`.
+        source: Where the values come from, for the message.
+        field: Name of the mapping there, for the message.
+        error: Class of the error to raise.
+
+    Returns:
+        The value.
+
+    Raises:
+        XdexError: Of class `error`, as `read_typed_yaml`.
+    """
+    return typing.cast(T, _read(values, cls, source, field, error))
+
+
 def to_plain(value: Any) -> Any:
     """Plain dictionaries and lists of a dataclass, for YAML and JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -69,7 +69,7 @@ def test_a_mirrored_shape_is_as_far_from_mirrored_points(shape, points) -> None:
 
 
 def test_samples_lie_on_the_surface_and_bounds_hold_them(shape) -> None:
-    sample = shape.sample(5000, np.random.default_rng(1))
+    sample = shape.sample(5000, np.random.default_rng(1))[0]
     assert np.abs(shape.signed_distance(sample)).max() < 1e-12
     center, radius = shape.bounding_sphere()
     assert np.linalg.norm(sample - center, axis=1).max() <= radius + 1e-12
@@ -79,7 +79,7 @@ def test_samples_lie_on_the_surface_and_bounds_hold_them(shape) -> None:
 
 
 def test_support_bounds_samples_and_is_the_bounds_along_axes(shape) -> None:
-    sample = shape.sample(20000, np.random.default_rng(2))
+    sample = shape.sample(20000, np.random.default_rng(2))[0]
     for d in Rotation.random(6, random_state=0).as_matrix()[:, 0]:
         gap = shape.support(d) - (sample @ d).max()
         assert -1e-12 < gap < 1e-3
@@ -102,11 +102,12 @@ def test_volume_is_what_is_inside(shape) -> None:
 
 def test_area_volume_and_samples_satisfy_the_divergence_theorem(shape) -> None:
     """3 V = integral of p . n over the surface: wrong areas, or samples that are not uniform, break it."""
-    sample = shape.sample(60_000, np.random.default_rng(5))
-    flux = shape.area() * np.einsum("na,na->n", sample - shape.volume().p_LCenter, normals(shape, sample))
+    sample, outward = shape.sample(60_000, np.random.default_rng(5))
+    assert np.sum(outward * normals(shape, sample), axis=1).mean() > 0.999
+    flux = shape.area() * np.einsum("na,na->n", sample - shape.volume().p_LCenter, outward)
     assert flux.mean() == pytest.approx(3.0 * shape.volume().volume, rel=0.02)
     # And the surface encloses: the integral of n alone is zero.
-    assert np.abs(normals(shape, sample).mean(axis=0)).max() < 0.02
+    assert np.abs(outward.mean(axis=0)).max() < 0.02
 
 
 def test_signed_distances_in_closed_form() -> None:
@@ -138,7 +139,7 @@ def test_a_hull_of_corners_agrees_with_its_box() -> None:
 def test_balls_of_a_capsule_leave_grooves_no_deeper_than_asked() -> None:
     capsule = SHAPES["capsule"]
     balls = capsule.balls(4e-4, 100)
-    surface = capsule.sample(4000, np.random.default_rng(0))
+    surface = capsule.sample(4000, np.random.default_rng(0))[0]
     gaps = np.linalg.norm(surface[:, None] - balls[None, :, :3], axis=-1) - balls[:, 3]
     assert 3e-4 < gaps.min(axis=1).max() <= 4e-4 + 1e-9
     assert len(capsule.balls(4e-4, 3)) == 3 and len(SHAPES["ball"].balls(4e-4, 9)) == 1

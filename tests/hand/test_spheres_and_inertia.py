@@ -26,7 +26,7 @@ def test_capsule_spheres_follow_the_axis() -> None:
     assert spheres[0, :3] == pytest.approx(capsule.p0)
     assert spheres[-1, :3] == pytest.approx(capsule.p1)
     assert (spheres[:, 3] == 0.008).all()
-    assert gap(spheres, capsule.sample(4000, np.random.default_rng(0))).max() <= SCALLOP + 1e-9
+    assert gap(spheres, capsule.sample(4000, np.random.default_rng(0))[0]).max() <= SCALLOP + 1e-9
 
 
 def test_degenerate_capsule_is_one_sphere() -> None:
@@ -67,7 +67,7 @@ def test_spheres_cover_each_link_and_hardly_bulge(name) -> None:
     for link in hand.links:
         covered = []
         for shape in link.geometry:
-            points = shape.sample(1500, rng)
+            points = shape.sample(1500, rng)[0]
             # Points within another shape of the link need no cover.
             others = [other for other in link.geometry if other is not shape]
             for other in others:
@@ -79,7 +79,7 @@ def test_spheres_cover_each_link_and_hardly_bulge(name) -> None:
         if covered:
             assert np.concatenate(covered).mean() >= 0.95, link.name
         for x, y, z, r in link.spheres:
-            around = Sphere(np.array([x, y, z]), r).sample(300, rng)
+            around = Sphere(np.array([x, y, z]), r).sample(300, rng)[0]
             outside = np.min([shape.signed_distance(around) for shape in link.geometry], axis=0)
             # Spheres that span several parts are checked on many directions, not on all.
             assert outside.max() <= (3e-3 if name == "imported" else BULGE + 1e-9), link.name
@@ -90,13 +90,13 @@ def test_a_link_of_many_parts_needs_no_more_spheres_than_its_parts() -> None:
     together = fit_spheres(plates)
     assert 8 <= len(together) < sum(len(fit_spheres((plate,))) for plate in plates)
     whole = Box(np.array([0.02, 0.11, 0.06]), np.zeros(3))
-    assert (gap(together, whole.sample(4000, np.random.default_rng(0))) < 3e-3).mean() > 0.95
+    assert (gap(together, whole.sample(4000, np.random.default_rng(0))[0]) < 3e-3).mean() > 0.95
 
 
 def test_hull_is_covered_like_a_box() -> None:
     box = Box(np.array([0.03, 0.05, 0.07]), np.array([0.01, 0.0, 0.0]))
     hull = Convex(box.corners())
-    distances = gap(fit_spheres((hull,)), hull.sample(4000, np.random.default_rng(0)))
+    distances = gap(fit_spheres((hull,)), hull.sample(4000, np.random.default_rng(0))[0])
     assert (distances < 3e-3).mean() > 0.95
 
 

@@ -1,15 +1,22 @@
 """Synthetic hands and grasps: small, exact, and free of any file."""
 
+import importlib.util
 from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+import torch
 from pydrake.math import RigidTransform
 
 from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, Hand, Joint, Link, Sphere
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.learning.batches import Sample, TrainingSet
 from xdex_drake.learning.features import hand_features, object_features
+from xdex_drake.learning.pack import HandFeatures, ObjectFeatures, Pack
+from xdex_drake.learning.samples import HandGrasps, make_pack
+
+torch.set_num_threads(1)  # so that sums have one order, whatever the shell says
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
@@ -71,32 +78,54 @@ def make_hand(fingers: int = 3, joints: int = 2, size: float = 1.0, name: str = 
     )
 
 
+class TrainingSet(NamedTuple):
+    """Hands, scenes and grasps in full precision, and the pack that is made of them."""
+
+    hands: tuple[HandFeatures, ...]
+    scenes: tuple[ObjectFeatures, ...]
+    grasps: tuple[HandGrasps, ...]
+    pack: Pack
+
+
 def make_training_set(scenes: int = 6, grasps: int = 8, seed: int = 0) -> TrainingSet:
     """Grasps of ellipsoids that head for a surface point along its normal, in pairs of two hands."""
     rng = np.random.default_rng(seed)
     hands = (make_hand(3, 2, name="three"), make_hand(2, 3, 1.2, name="two"))
     features = tuple(hand_features(hand, points=32) for hand in hands)
-    objects, samples = [], []
+    objects: list[ObjectFeatures] = []
+    poses: dict[int, list] = {0: [], 1: []}
     for s in range(scenes):
         axes = rng.uniform(0.02, 0.05, 3)
         directions = rng.normal(size=(2000, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         center = np.array([0.1 * s, -0.1, axes[2]])
-        objects.append(object_features(directions * axes + center, center, count=2000, name=f"ellipsoid_{s}"))
-        for g in range(grasps):
-            u = directions[rng.integers(len(directions))]
-            p_WPoint = u * axes + center
-            normal = u / axes / np.linalg.norm(u / axes)
+        normals = directions / axes
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        surface = directions * axes + center
+        objects.append(object_features(surface, center, count=2000, name=f"ellipsoid_{s}", n_WPoints=normals))
+        for _ in range(grasps):
+            k = rng.integers(len(directions))
             closing = rng.uniform(0.1, 1.2)
-            z = -normal
+            z = -normals[k]
             x = np.cross(np.cross(z, [0.3, 0.2, 0.9]), z)
             x /= np.linalg.norm(x)
             R_WH = np.stack([x, np.cross(z, x), z], axis=1)
+            p_WH = surface[k] - R_WH @ np.array([0.0, 0.0, 0.12])
             for h, hand in enumerate(hands):
                 R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), np.full(len(hand.joint_names), closing))
-                p_WH = p_WPoint - R_WH @ np.array([0.0, 0.0, 0.12])
-                samples.append(Sample(h, s, R_WH @ R_HLs, p_HLs @ R_WH.T + p_WH, p_WPoint, s * grasps + g))
-    return TrainingSet(features, tuple(objects), tuple(samples))
+                poses[h].append((R_WH @ R_HLs, p_HLs @ R_WH.T + p_WH, surface[k]))
+    count = scenes * grasps
+    parts = tuple(
+        HandGrasps(
+            hand,
+            np.repeat(np.arange(scenes), grasps),
+            *(np.array(entry) for entry in zip(*poses[h], strict=True)),
+            np.arange(count),
+            np.zeros(count, dtype=int),
+        )
+        for h, hand in enumerate(features)
+    )
+    return TrainingSet(features, tuple(objects), parts, make_pack(objects, parts))
 
 
 @pytest.fixture(scope="session")
@@ -112,3 +141,16 @@ def hand_maker() -> Callable[..., Hand]:
 @pytest.fixture(scope="session")
 def training_set() -> TrainingSet:
     return make_training_set()
+
+
+@pytest.fixture(scope="session")
+def tiny() -> Callable[..., Pack]:
+    """Makes a training pack without Drake, as a machine does that has torch alone."""
+    spec = importlib.util.spec_from_file_location("tiny_pack", TINY_PACK)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.tiny_pack
+
+
+TINY_PACK = Path(__file__).parent / "tiny_pack.py"

@@ -87,7 +87,8 @@ def test_random_damage_never_ends_in_another_error(file):
     ("change", "message"),
     [
         (lambda h: h.update(feature_schema=99), "feature_schema"),
-        (lambda h: h.update(kind="other"), "kind"),
+        (lambda h: h.update(kind="other"), "'kind' is 'other'; known are cvae"),
+        (lambda h: h.update(kind=["cvae"]), "kind"),
         (lambda h: h["config"].update(width=10**9), "config.width"),
         (lambda h: h["config"].update(width=32), "does not fit"),
         (lambda h: h["config"].update(heads=3), "multiple"),
@@ -158,14 +159,14 @@ def test_moving_the_scene_moves_the_prediction(model, training_set):
 
 
 def test_neural_retargeting(model, training_set):
-    grasp = training_set.samples[0]
+    grasps = training_set.grasps[0]
     source, target = training_set.hands
-    scene = training_set.scenes[grasp.scene]
-    arguments = scene, grasp.R_WLs[None], grasp.p_WLs[None], grasp.p_WPoint[None]
+    scene = training_set.scenes[grasps.scene[0]]
+    arguments = scene, grasps.R_WLs[:1], grasps.p_WLs[:1], grasps.p_WPoints[:1]
     carried = retarget(model, source, target, *arguments)
     assert carried.R_WLs.shape == (1, len(target.link_names), 3, 3)
     mean, index = encode(model, source, *arguments)
     np.testing.assert_allclose(carried.latents, mean, atol=1e-6)
-    np.testing.assert_allclose(scene.points[index] + scene.p_WCenter, grasp.p_WPoint[None], atol=5e-3)
+    np.testing.assert_allclose(scene.points[index] + scene.p_WCenter, grasps.p_WPoints[:1], atol=5e-3)
     # The decoder sees the mean, not a draw: the same call repeats, and a prediction re-encodes to the same point.
     np.testing.assert_array_equal(retarget(model, source, target, *arguments).p_WLs, carried.p_WLs)

@@ -5,7 +5,7 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.link_pose import link_pose_vectors
-from xdex_drake.learning.batches import BatchSizes, make_batch, pack
+from xdex_drake.learning.batches import BatchSizes, grasps_of_scenes, hand_batch, load_pack, make_batch
 from xdex_drake.learning.features import hand_features
 from xdex_drake.learning.losses import (
     embedding_loss,
@@ -16,9 +16,10 @@ from xdex_drake.learning.losses import (
     reconstruction_loss,
     rotations_from_columns,
 )
-from xdex_drake.learning.models.cvae import CVAE, CVAEConfig, HandBatch, denormalize_poses, normalize_poses
+from xdex_drake.learning.models.cvae import CVAE, CVAEConfig
 from xdex_drake.learning.models.layers import TopologyBias
-from xdex_drake.learning.training import LossWeights, loss_terms
+from xdex_drake.learning.protocol import HandBatch, denormalize_poses, normalize_poses
+from xdex_drake.learning.training import pose_errors
 
 SMALL = CVAEConfig(width=32, heads=2, latent=8, object_channels=(8, 8), decoder_layers=2)
 
@@ -34,15 +35,25 @@ def model():
 
 @pytest.fixture(scope="module")
 def data(training_set):
-    return pack(training_set, torch.device("cpu"))
+    return load_pack(training_set.pack, torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def hands(data):
+    return hand_batch(data, torch.tensor([0, 1]))
 
 
 @pytest.fixture(scope="module")
 def batch(data):
+    pool = grasps_of_scenes(data.scene, np.flatnonzero(data.scene < 2))
+    couples = [grasps.reshape(2, -1).T[:4].ravel() for grasps in pool.values()]  # a hand's grasps, then the other's
+    sizes = BatchSizes(16, 2, 128, 0.0)
     rng = np.random.default_rng(0)
-    sizes = BatchSizes(16, 2, 128, 0.0, SMALL.latent)
-    grasps = np.concatenate([np.flatnonzero(data.scene == 0)[:8], np.flatnonzero(data.scene == 1)[:8]])
-    return make_batch(data, np.array([0, 1]), grasps, np.array([0.3, 2.0]), sizes, rng)
+    return make_batch(data, pool, np.concatenate(couples), np.array([0.3, 2.0]), sizes, rng)
+
+
+def _terms(model, batch, names):
+    return model.loss(batch, names, np.random.default_rng(0))
 
 
 def _decode(model, hands, z, feature):
@@ -54,12 +65,12 @@ def _random(*shape, seed=0):
     return torch.as_tensor(np.random.default_rng(seed).normal(size=shape), dtype=torch.float32)
 
 
-def test_padding_is_hidden(model, data):
-    hands = data.hands
+def test_padding_is_hidden(model, hands):
     padded = ~hands.mask
     assert not padded.any(), "the toy hands have equal numbers of links; padding is added below"
     extra = HandBatch(
         torch.cat([hands.points, torch.zeros_like(hands.points[:, :2])], dim=1),
+        torch.cat([hands.normals, torch.zeros_like(hands.normals[:, :2])], dim=1),
         torch.cat([hands.origins, torch.zeros_like(hands.origins[:, :2])], dim=1),
         torch.nn.functional.pad(hands.spd, (0, 2, 0, 2)),
         torch.nn.functional.pad(hands.mask, (0, 2)),
@@ -82,11 +93,12 @@ def test_padding_is_hidden(model, data):
     torch.testing.assert_close(log_sigma_2, log_sigma, rtol=0.0, atol=1e-5)
 
 
-def test_permuting_links_permutes_outputs(model, data):
-    hands = data.hands
+def test_permuting_links_permutes_outputs(model, hands):
     order = torch.as_tensor(np.random.default_rng(0).permutation(hands.mask.shape[1]))
     permuted = HandBatch(
-        hands.points[:, order], hands.origins[:, order], hands.spd[:, order][:, :, order], hands.mask[:, order]
+        *(entry[:, order] for entry in (hands.points, hands.normals, hands.origins)),
+        hands.spd[:, order][:, :, order],
+        hands.mask[:, order],
     )
     z, feature = _random(2, SMALL.latent), _random(2, SMALL.width)
     with torch.no_grad():
@@ -98,8 +110,7 @@ def test_permuting_links_permutes_outputs(model, data):
     torch.testing.assert_close(mean_2, mean, rtol=0.0, atol=1e-5)
 
 
-def test_topology_matters(model, data):
-    hands = data.hands
+def test_topology_matters(model, hands):
     flat = hands._replace(spd=torch.ones_like(hands.spd))
     with torch.no_grad():
         difference = model.link_features(hands) - model.link_features(flat)
@@ -123,13 +134,16 @@ def test_normalised_poses_round_trip():
 def test_batch_turns_the_scene_as_a_whole(data, batch):
     # Distances between link origins and cloud survive the turn; heights, too.
     grasp = int(np.flatnonzero(data.scene == 0)[0])
-    p_point = batch.clouds[0, batch.point[0]]
+    p_point = batch.clouds.points[0, batch.point[0]]
     p = denormalize_poses(batch.poses[:1], p_point[None])[0]
-    before = data.vectors[grasp]
-    n = int(data.hands.mask[data.hand[grasp]].sum())
+    n = int(data.links[data.hand[grasp]])
+    before = data.vectors[:n].float()  # the first grasp's
+    before[:, :3] += data.points[grasp]
     torch.testing.assert_close(p[:n, 2], before[:n, 2], rtol=0.0, atol=1e-6)
     torch.testing.assert_close(p[:n, :3].norm(dim=1), before[:n, :3].norm(dim=1), rtol=0.0, atol=1e-6)
-    torch.testing.assert_close((p[:n, 3:6] * p[:n, :3]).sum(1), (before[:n, 3:6] * before[:n, :3]).sum(1))
+    torch.testing.assert_close(
+        (p[:n, 3:6] * p[:n, :3]).sum(1), (before[:n, 3:6] * before[:n, :3]).sum(1), rtol=0.0, atol=1e-6
+    )
     # The conditioned point is the nearest of the cloud to the grasp's own.
     assert (p_point.norm() - data.points[grasp].norm()).abs() < 0.01
 
@@ -174,16 +188,49 @@ def test_rotations_from_columns_are_rotations():
     torch.testing.assert_close(torch.linalg.det(R), torch.ones(20))
 
 
-def test_options_add_terms_and_reach_every_parameter(model, data, batch):
-    weights = LossWeights(retargeting=1.0, embedding=1.0, cross=1.0)
-    terms = loss_terms(model, batch, data, weights)
+def test_options_add_terms_and_reach_every_parameter(model, batch):
+    terms = _terms(model, batch, CVAE.weights)
     assert set(terms) == {"reconstruction", "kl", "point", "retargeting", "embedding", "cross"}
-    assert set(loss_terms(model, batch, data, LossWeights())) == {"reconstruction", "kl", "point"}
+    assert set(_terms(model, batch, {"reconstruction", "kl"})) == {"reconstruction", "kl"}
     model.zero_grad()
     torch.stack(list(terms.values())).sum().backward()
     missing = [n for n, p in model.named_parameters() if p.grad is None or not bool(p.grad.abs().sum() > 0.0)]
     # The last embodiment and decoder blocks all feed the loss; keys' biases alone cannot matter to a softmax.
     assert missing == []
+
+
+def test_a_batch_without_pairs_has_no_terms_of_pairs(model, batch):
+    alone = batch._replace(paired=torch.zeros_like(batch.paired))
+    assert set(_terms(model, alone, CVAE.weights)) == {"reconstruction", "kl", "point"}
+    with torch.no_grad():
+        made = model.reconstruct(alone, np.random.default_rng(0))
+    assert bool(made["cross"].isnan().all()) and not bool(made["prior"].isnan().any())
+
+
+@torch.no_grad()
+def test_reconstruction_repeats_and_is_measured_in_millimetres(model, batch):
+    one, other = (model.reconstruct(batch, np.random.default_rng(5)) for _ in range(2))
+    assert set(one) == {"posterior", "prior", "cross"}
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    origins, tips = pose_errors(torch.stack([batch.poses + 1.0, batch.poses]), batch)
+    torch.testing.assert_close(origins, torch.zeros(16))  # the best of two tries
+    moved = batch.poses.clone()
+    moved[..., 0] += 0.05  # of 0.1 m
+    origins, tips = pose_errors(moved[None], batch)
+    torch.testing.assert_close(origins, torch.full((16,), 5.0))
+    torch.testing.assert_close(tips, torch.full((16,), 5.0))
+
+
+@torch.no_grad()
+def test_tips_feel_a_turn_of_the_links_and_the_wrist_does_not_count(batch):
+    turned, angle = batch.poses.clone(), 0.1
+    c, s = np.cos(angle), np.sin(angle)
+    R = torch.tensor([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], dtype=torch.float32)
+    turned[..., 3:6], turned[..., 6:] = turned[..., 3:6] @ R.T, turned[..., 6:] @ R.T
+    origins, errors = pose_errors(turned[None], batch)
+    torch.testing.assert_close(origins, torch.zeros(16))
+    # Tips are 40 and 48 mm from the origins of their links; nothing else moves.
+    assert bool((errors > 1.0).all()) and bool((errors <= 48.0 * angle).all())
 
 
 def test_one_batch_is_overfitted(data):
@@ -192,13 +239,13 @@ def test_one_batch_is_overfitted(data):
         width=64, latent=16, embodiment_layers=1, encoder_layers=1, decoder_layers=2, object_channels=(8, 8)
     )
     model = CVAE(config)
-    sizes = BatchSizes(8, 1, 64, 0.0, 16)
-    batch = make_batch(data, np.array([0]), np.arange(8), np.zeros(1), sizes, np.random.default_rng(0))
-    batch = batch._replace(noise=torch.zeros(8, 16))
+    pool = {0: np.flatnonzero(data.scene == 0)}
+    batch = make_batch(data, pool, pool[0][:8], np.zeros(1), BatchSizes(8, 1, 64, 0.0), np.random.default_rng(0))
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
     losses = []
     for _ in range(300):
-        loss = loss_terms(model, batch, data, LossWeights())["reconstruction"]
+        f = model(batch)
+        loss = reconstruction_loss(model.decode(f.links, f.mask, f.mean, f.feature), batch.poses, f.mask)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -32,6 +32,7 @@ def test_hand_features(toy_hand):
     features = hand_features(toy_hand, points=32)
     L = len(toy_hand.links)
     assert features.link_points.shape == (L, 32, 3)
+    assert features.link_normals.shape == (L, 32, 3)
     assert features.spd.shape == (L, L)
     assert features.keypoint_names == ("wrist", "thumb", "index", "middle")
     # The wrist keypoint stands at the origin of H.
@@ -46,7 +47,8 @@ def test_hand_features(toy_hand):
 
 def test_link_without_geometry_has_its_origin():
     link = Link("hub", (), 0.01, np.zeros(3), np.eye(3), np.zeros((0, 4)))
-    assert np.all(sample_link(link, 5, np.random.default_rng(0)) == 0.0)
+    points, normals = sample_link(link, 5, np.random.default_rng(0))
+    assert np.all(points == 0.0) and np.all(normals == 0.0)
 
 
 @pytest.mark.parametrize(
@@ -69,16 +71,20 @@ def test_link_without_geometry_has_its_origin():
 )
 def test_samples_lie_on_the_surface(geometry, distance):
     link = Link("link", (geometry,), 0.01, np.zeros(3), np.eye(3), np.zeros((0, 4)))
-    points = sample_link(link, 64, np.random.default_rng(0))
+    points, normals = sample_link(link, 64, np.random.default_rng(0))
     np.testing.assert_allclose(distance(points), 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    np.testing.assert_allclose(distance(points + 1e-4 * normals), 1e-4, atol=1e-9)
     spread = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(64)
     assert spread.min() > 1e-3  # farthest points do not clump
 
 
 def test_object_features_are_centered_and_refuse_nonsense():
     points = np.random.default_rng(0).normal(2.0, 1.0, (50, 3))
-    features = object_features(points, count=20)
+    features = object_features(points, count=20, n_WPoints=2.0 * points)
     assert features.points.shape == (20, 3)
+    np.testing.assert_allclose(features.normals, 2.0 * (features.points + features.p_WCenter))  # they go together
+    assert np.all(object_features(points).normals == 0.0)
     np.testing.assert_allclose(features.p_WCenter, points.mean(axis=0))
     for bad in (np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan)):
         with pytest.raises(ValueError, match="object points"):

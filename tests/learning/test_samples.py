@@ -9,11 +9,16 @@ from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
 from xdex_drake.errors import DatasetError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.learning.features import object_point
-from xdex_drake.learning.samples import succeeded, training_set_from_dataset, training_set_from_rows
+from xdex_drake.hand.link_pose import link_poses_from_vectors
+from xdex_drake.learning.features import hand_features, object_point
+from xdex_drake.learning.pack import read_pack, write_pack
+from xdex_drake.learning.samples import Splits, make_pack, pack_dataset
 
 X_WO = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.0, 0.1, 0.05])
+X_WH = RigidTransform(RollPitchYaw(0.0, 2.0, 0.5), [0.0, 0.0, 0.2])
 FACTS = ObjectFacts("ball", "ball", "d1", 1.0, 0.1, 0.6, np.array([0.001, 0.002, 0.003]), 0.03)
+# Half a unit in the last place of 16 bits below 0.25 m, and the same of a rotation's entry at 0.1 m from its axis.
+ROUNDING = 0.25 * 2.0**-12 + 1e-6
 
 
 def _ball(facts):
@@ -25,10 +30,10 @@ def _ball(facts):
     return SimpleNamespace(surface_samples=surface_samples)
 
 
-def _row(hand, grasp_id, source="", success=True, point=None, source_point=None):
-    X_WH = RigidTransform(RollPitchYaw(0.0, 2.0, 0.5), [0.0, 0.0, 0.2])
-    lift = Lift("lift-0.2/2tips", success, "" if success else "slipped", 0.25, ("thumb",), 1.0)
-    grasp = Grasp(hand.name, "ball", X_WO, X_WH, hand.q_rest, lift=lift, grasp_id=grasp_id, source_grasp_id=source)
+def _row(hand, grasp_id, source="", success=True, point=None, source_point=None, lifted=True, shift=0.0):
+    lift = Lift("lift-0.2/2tips", success, "" if success else "slipped", 0.25, ("thumb",), 1.0) if lifted else None
+    X = RigidTransform(X_WH.rotation(), X_WH.translation() + np.array([0.0, 0.0, shift]))
+    grasp = Grasp(hand.name, "ball", X_WO, X, hand.q_rest + shift, lift=lift, grasp_id=grasp_id, source_grasp_id=source)
     return row_from_grasp(
         grasp,
         scene_id="ball-0",
@@ -45,47 +50,118 @@ def hands(hand_maker):
     return {name: hand_maker(fingers, name=name) for name, fingers in (("three", 3), ("two", 2))}
 
 
-def test_rows_become_samples(hands):
+@pytest.fixture
+def packed(hands, tmp_path):
+    """Packs a data set of some units of rows."""
+
+    def packing(*units, **options):
+        names = tuple(f"u{k}" for k in range(len(units)))
+        open_dataset(tmp_path, Manifest(config={}, seed=0, units=names, versions={}, digests={}))
+        for name, rows in zip(names, units, strict=True):
+            write_shard(tmp_path, name, rows)
+        return pack_dataset(tmp_path, **{"hands": hands.__getitem__, "objects": _ball, **options})
+
+    return packing
+
+
+def _poses(pack, k, hand):
+    """Link poses of a grasp of a pack, in W."""
+    n = len(hand.links)
+    vectors = pack.vectors[pack.first_vectors[k] : pack.first_vectors[k] + n].astype(float)
+    R, p = link_poses_from_vectors(vectors, hand_features(hand).R_HLs_zero)
+    return R, p + pack.points[k] + pack.centers[pack.scene[k]]
+
+
+def _heads(pack, k):
+    return pack.points[k] + pack.centers[pack.scene[k]]
+
+
+def test_rows_become_grasps(hands, packed):
     own, source = np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.03, 0.0])
-    rows = [
-        _row(hands["three"], "a", point=own),
-        _row(hands["two"], "b", source="a", point=own, source_point=source),
-        _row(hands["two"], "c"),
-    ]
-    made = training_set_from_rows(rows, hands=hands.__getitem__, objects=_ball)
-    assert [hand.name for hand in made.hands] == ["three", "two"]
-    assert [scene.name for scene in made.scenes] == ["ball-0"]
-    a, b, c = made.samples
-    assert (a.hand, b.hand, c.hand) == (0, 1, 1)
-    assert a.pair == b.pair != c.pair
-    np.testing.assert_allclose(a.p_WPoint, X_WO.multiply(own))
-    np.testing.assert_allclose(b.p_WPoint, X_WO.multiply(source))
+    pack = packed(
+        [_row(hands["three"], "a", point=own), _row(hands["two"], "b", "a", point=own, source_point=source)],
+        [_row(hands["two"], "c", shift=0.01)],
+    )
+    assert pack.hand_names == ("three", "two") and pack.scene_names == ("ball-0",)
+    assert pack.hand.tolist() == [0, 1, 1]
+    assert pack.pair[0] == pack.pair[1] != pack.pair[2]
+    np.testing.assert_allclose(_heads(pack, 0), X_WO.multiply(own), atol=1e-7)
+    np.testing.assert_allclose(_heads(pack, 1), X_WO.multiply(source), atol=1e-7)
     # Without a stored point, the heading rule finds one on the cloud.
-    scene = made.scenes[0]
-    cloud = scene.points + scene.p_WCenter
-    X_WH = RigidTransform(RollPitchYaw(0.0, 2.0, 0.5), [0.0, 0.0, 0.2])
-    R_WLs, p_WLs = forward_kinematics(hands["two"], X_WH, hands["two"].q_rest)
-    np.testing.assert_allclose(c.R_WLs, R_WLs, atol=1e-12)
-    np.testing.assert_allclose(c.p_WLs, p_WLs, atol=1e-12)
-    np.testing.assert_allclose(c.p_WPoint, cloud[object_point(hands["two"], R_WLs, p_WLs, cloud)], atol=1e-12)
+    p_OPs, n_OPs = _ball(FACTS).surface_samples(2048)
+    cloud = (X_WO @ p_OPs.T).T
+    X = RigidTransform(X_WH.rotation(), X_WH.translation() + np.array([0.0, 0.0, 0.01]))
+    R_WLs, p_WLs = forward_kinematics(hands["two"], X, hands["two"].q_rest + 0.01)
+    np.testing.assert_allclose(_heads(pack, 2), cloud[object_point(hands["two"], R_WLs, p_WLs, cloud)], atol=1e-7)
+    R, p = _poses(pack, 2, hands["two"])
+    np.testing.assert_allclose(R, R_WLs, atol=1e-3)
+    np.testing.assert_allclose(p, p_WLs, atol=ROUNDING)
     # The cloud is centered at the center of mass.
-    np.testing.assert_allclose(scene.p_WCenter, X_WO.multiply(FACTS.p_OOcm))
-    np.testing.assert_allclose(np.linalg.norm(scene.points, axis=1), 0.03)
+    np.testing.assert_allclose(pack.centers[0], X_WO.multiply(FACTS.p_OOcm), atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(pack.clouds[0].astype(float), axis=1), 0.03, atol=2e-5)
+    np.testing.assert_allclose(pack.cloud_normals[0], n_OPs @ X_WO.rotation().matrix().T, atol=1e-3)
 
 
-def test_a_folder_gives_its_successes(hands, tmp_path):
-    rows = [_row(hands["three"], "a"), _row(hands["three"], "b", success=False)]
-    open_dataset(tmp_path, Manifest(config={}, seed=0, units=("u", "v"), versions={}, digests={}))
+def test_a_pack_keeps_what_hands_are(hands, packed):
+    pack = packed([_row(hands["two"], "a"), _row(hands["three"], "b", "a")])
+    for h, name in enumerate(pack.hand_names):
+        features = hand_features(hands[name])
+        rows = slice(pack.first_links[h], pack.first_links[h] + pack.links[h])
+        np.testing.assert_allclose(pack.link_points[rows], features.link_points, atol=1e-4)
+        np.testing.assert_allclose(pack.link_normals[rows], features.link_normals, atol=1e-3)
+        np.testing.assert_allclose(pack.link_origins[rows], features.p_HLs_zero, atol=1e-7)
+        begin = int((pack.links[:h] ** 2).sum())
+        assert np.array_equal(pack.spd[begin : begin + pack.links[h] ** 2], features.spd.ravel())
+        has = [pack.keypoint_names.index(k) for k in features.keypoint_names]
+        assert pack.keypoint_links[h, has].tolist() == features.keypoint_links.tolist()
+        assert (np.delete(pack.keypoint_links[h], has) == -1).all()
+
+
+def test_failures_are_kept_with_their_reasons_and_thinned(hands, packed, tmp_path):
+    rows = [_row(hands["three"], f"good{k}") for k in range(2)]
+    rows += [_row(hands["two"], f"bad{k}", success=False, shift=0.001 * k) for k in range(5)]
+    rows += [_row(hands["two"], "never lifted", lifted=False)]
+    pack = packed(rows)
+    assert pack.reasons == ("", "slipped") and pack.outcome.tolist() == [0, 0, 1, 1]
+    again = pack_dataset(tmp_path, hands=hands.__getitem__, objects=_ball)
+    assert np.array_equal(pack.vectors, again.vectors)
+    every = pack_dataset(tmp_path, failures=10.0, hands=hands.__getitem__, objects=_ball)
+    assert len(every.outcome) == 7
+    none = pack_dataset(tmp_path, failures=0.0, hands=hands.__getitem__, objects=_ball)
+    assert none.outcome.tolist() == [0, 0] and none.hand_names == ("three",)
+
+
+def test_a_data_set_without_a_lifted_grasp_is_refused(hands, packed):
     with pytest.raises(DatasetError, match="no grasp to learn from"):
-        training_set_from_dataset(tmp_path, hands=hands.__getitem__, objects=_ball)
-    write_shard(tmp_path, "u", rows)
-    made = training_set_from_dataset(tmp_path, hands=hands.__getitem__, objects=_ball)
-    assert len(made.samples) == 1 and succeeded(rows[0]) and not succeeded(rows[1])
-    every = training_set_from_dataset(tmp_path, keep=lambda row: True, hands=hands.__getitem__, objects=_ball)
-    assert len(every.samples) == 2
+        packed([_row(hands["three"], "a", success=False)])
 
 
-def test_another_hand_of_the_same_name_is_refused(hands):
-    rows = [_row(hands["three"], "a")]
+def test_splits_are_named(hands, packed):
+    rows = [_row(hands["three"], "a"), _row(hands["two"], "b", "a")]
+    pack = packed(rows, splits=Splits(("elsewhere",), ("two", "unheard of")))
+    assert pack.held_hands.tolist() == [0, 1] and pack.held_scenes.tolist() == [0]
+
+
+def test_another_hand_of_the_same_name_is_refused(hands, packed):
     with pytest.raises(DatasetError, match="joint_names"):
-        training_set_from_rows(rows, hands=lambda name: hands["two"], objects=_ball)
+        packed([_row(hands["three"], "a")], hands=lambda name: hands["two"])
+
+
+def test_a_written_pack_is_the_one_in_memory(hands, packed, tmp_path):
+    pack = packed([_row(hands["three"], "a")])
+    found = read_pack(write_pack(pack, tmp_path / "p.safetensors"))
+    assert np.array_equal(found.vectors, pack.vectors) and found.hand_names == pack.hand_names
+
+
+def test_grasps_that_do_not_fit_are_refused(training_set):
+    import dataclasses
+
+    good = training_set.grasps[0]
+    for change in (
+        {"scene": good.scene + 9},
+        {"p_WLs": good.p_WLs[:, :-1]},
+        {"p_WLs": np.full_like(good.p_WLs, np.nan)},
+        {"p_WPoints": np.full_like(good.p_WPoints, 1e6)},
+    ):
+        with pytest.raises(DatasetError, match="training pack"):
+            make_pack(training_set.scenes, [dataclasses.replace(good, **change)])

@@ -1,5 +1,7 @@
 import dataclasses
 import json
+import multiprocessing
+import os
 import signal
 
 import numpy as np
@@ -7,11 +9,10 @@ import pytest
 import torch
 
 from xdex_drake.errors import CheckpointError, ConfigError
-from xdex_drake.learning import training
-from xdex_drake.learning.batches import TrainingSet, draw_batch, pack
+from xdex_drake.learning import run_state, tensor_file, training
+from xdex_drake.learning.batches import draw_batch, load_pack
 from xdex_drake.learning.checkpoint import load_checkpoint
-from xdex_drake.learning.models.cvae import CVAEConfig
-from xdex_drake.learning.training import TrainConfig, batch_sizes, split_scenes, train
+from xdex_drake.learning.training import TrainConfig, batch_sizes, read_train_config, resolve, split_grasps, train
 
 CONFIG = TrainConfig(
     steps=6,
@@ -21,8 +22,13 @@ CONFIG = TrainConfig(
     log_every=2,
     validate_every=3,
     save_every=2,
-    model=CVAEConfig(width=16, heads=2, latent=4, object_channels=(4, 4), decoder_layers=1),
+    model={"width": 16, "heads": 2, "latent": 4, "object_channels": [4, 4], "decoder_layers": 1},
 )
+
+
+@pytest.fixture(scope="module")
+def pack(tiny):
+    return tiny()
 
 
 def _weights(folder):
@@ -33,16 +39,20 @@ def _same(a, b):
     return all(torch.equal(a[name], b[name]) for name in a)
 
 
-def test_training_repeats_and_resumes_exactly(training_set, tmp_path):
-    whole = train(CONFIG, training_set, tmp_path / "whole", progress=False)
+def test_training_repeats_exactly(pack, tmp_path):
+    whole = train(CONFIG, pack, tmp_path / "whole", progress=False)
     assert (whole.stopped, whole.steps) == ("finished", 6)
-    again = train(CONFIG, training_set, tmp_path / "again", progress=False)
+    again = train(CONFIG, pack, tmp_path / "again", progress=False)
     assert _same(_weights(tmp_path / "whole"), _weights(tmp_path / "again"))
     assert whole.validation == pytest.approx(again.validation, nan_ok=True)
+    # A finished run that is asked for again has nothing to do, and forgets nothing.
+    before = (tmp_path / "again" / "model.safetensors").read_bytes()
+    assert train(CONFIG, pack, tmp_path / "again", progress=False).steps == 6
+    assert (tmp_path / "again" / "model.safetensors").read_bytes() == before
 
 
-def test_an_interrupted_run_ends_as_an_unbroken_one(training_set, tmp_path, monkeypatch):
-    train(CONFIG, training_set, tmp_path / "whole", progress=False)
+def test_an_interrupted_run_ends_as_an_unbroken_one(pack, tmp_path, monkeypatch):
+    train(CONFIG, pack, tmp_path / "whole", progress=False)
 
     calls = []
     real = training.draw_batch
@@ -54,58 +64,135 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(training_set, tmp_path, monk
         return real(*args)
 
     monkeypatch.setattr(training, "draw_batch", interrupting)
-    broken = train(CONFIG, training_set, tmp_path / "broken", progress=False)
+    broken = train(CONFIG, pack, tmp_path / "broken", progress=False)
     assert (broken.stopped, broken.steps) == ("interrupted", 3)
-    rest = train(CONFIG, training_set, tmp_path / "broken", progress=False)
+    rest = train(CONFIG, pack, tmp_path / "broken", progress=False)
     assert (rest.stopped, rest.steps) == ("finished", 6)
     assert _same(_weights(tmp_path / "whole"), _weights(tmp_path / "broken"))
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_seed_changes_the_run(training_set, tmp_path):
-    train(CONFIG, training_set, tmp_path / "a", progress=False)
-    train(dataclasses.replace(CONFIG, seed=1), training_set, tmp_path / "b", progress=False)
+def _train_until_killed(pack, out, moment):
+    """Trains, and dies of SIGKILL: in a step, between the model and the state, or with a state half written."""
+    torch.set_num_threads(1)
+    kind, number = moment
+    owner, name = {
+        "step": (training, "draw_batch"),
+        "between": (training, "save_state"),
+        "writing": (run_state, "write_tensor_file"),
+    }[kind]
+    real, calls = getattr(owner, name), []
+
+    def deadly(*args):
+        calls.append(0)
+        if len(calls) == number:
+            if kind == "writing":
+                tensor_file.save_arrays = lambda *a, **k: os.kill(os.getpid(), signal.SIGKILL)
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return real(*args)
+
+    setattr(owner, name, deadly)
+    train(CONFIG, pack, out, progress=False)
+
+
+def test_three_kills_end_as_an_unbroken_run(pack, tmp_path):
+    train(CONFIG, pack, tmp_path / "whole", progress=False)
+    out = tmp_path / "killed"
+    context = multiprocessing.get_context("fork")
+    reached = []
+    for moment in (("step", 4), ("between", 1), ("writing", 1)):
+        process = context.Process(target=_train_until_killed, args=(pack, out, moment))
+        process.start()
+        process.join(120)
+        assert process.exitcode == -signal.SIGKILL
+        reached.append(json.loads((out / "log.jsonl").read_text().splitlines()[-1])["step"])
+    assert reached[0] == 3
+    train(CONFIG, pack, out, progress=False)
+    assert (out / "model.safetensors").read_bytes() == (tmp_path / "whole" / "model.safetensors").read_bytes()
+    logs = [
+        [
+            {k: v for k, v in json.loads(line).items() if k != "seconds"}
+            for line in (f / "log.jsonl").read_text().splitlines()
+        ]
+        for f in (out, tmp_path / "whole")
+    ]
+    assert logs[0] == logs[1]
+    assert not list(out.glob(".*.partial"))
+
+
+def test_a_seed_changes_the_run(pack, tmp_path):
+    train(CONFIG, pack, tmp_path / "a", progress=False)
+    train(dataclasses.replace(CONFIG, seed=1), pack, tmp_path / "b", progress=False)
     assert not _same(_weights(tmp_path / "a"), _weights(tmp_path / "b"))
 
 
-def test_training_leaves_the_global_generator_alone(training_set, tmp_path):
+def test_training_leaves_the_global_generator_alone(pack, tmp_path):
     before = torch.get_rng_state()
-    train(dataclasses.replace(CONFIG, steps=1), training_set, tmp_path, progress=False)
+    train(dataclasses.replace(CONFIG, steps=1), pack, tmp_path, progress=False)
     assert torch.equal(before, torch.get_rng_state())
 
 
-def test_log_is_json_lines(training_set, tmp_path):
-    train(CONFIG, training_set, tmp_path, progress=False)
+def test_log_is_json_lines(pack, tmp_path):
+    train(CONFIG, pack, tmp_path, progress=False)
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines if "loss" in line] == [2, 4, 6]
     assert [line["step"] for line in lines if "validation" in line] == [3, 6]
-    assert {"position_mm", "prior_mm", "cross_mm", "point_gain"} <= lines[-1]["validation"].keys()
+    figures = {f"{made}_{what}" for made in ("posterior", "prior", "cross") for what in ("mm", "tip_mm")}
+    assert figures | {"reconstruction", "kl", "point"} == lines[-1]["validation"].keys()
+    assert all(lines[-1]["validation"][name] > 0.0 for name in figures)
 
 
-def test_time_limit(training_set, tmp_path):
+def test_learning_lowers_the_error_of_the_fingertips(pack, tmp_path):
+    config = dataclasses.replace(CONFIG, steps=60, learning_rate=1e-2, warm_up=5, validate_every=30)
+    report = train(config, pack, tmp_path, progress=False)
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    first = next(line["loss"] for line in lines if "loss" in line)
+    assert report.validation["reconstruction"] < 0.5 * first
+    assert report.validation["posterior_tip_mm"] < 70.0  # 94 at the start
+
+
+def test_time_limit(pack, tmp_path):
     config = dataclasses.replace(CONFIG, steps=10**6, minutes=0.01)
-    report = train(config, training_set, tmp_path, progress=False)
+    report = train(config, pack, tmp_path, progress=False)
     assert report.stopped == "time"
     assert 0 < report.steps < 10**6
-    assert load_checkpoint(report.checkpoint).config == CONFIG.model
+    assert load_checkpoint(report.checkpoint).config.width == 16
 
 
-def test_state_of_another_config_or_data_is_refused(training_set, tmp_path):
-    train(dataclasses.replace(CONFIG, steps=1), training_set, tmp_path, progress=False)
+def test_state_of_another_config_or_data_is_refused(pack, tiny, tmp_path):
+    train(dataclasses.replace(CONFIG, steps=1), pack, tmp_path, progress=False)
     with pytest.raises(ConfigError, match="learning_rate"):
-        train(dataclasses.replace(CONFIG, learning_rate=2e-3), training_set, tmp_path, progress=False)
-    fewer = TrainingSet(training_set.hands, training_set.scenes, training_set.samples[:-2])
+        train(dataclasses.replace(CONFIG, learning_rate=2e-3), pack, tmp_path, progress=False)
     with pytest.raises(ConfigError, match="another data"):
-        train(CONFIG, fewer, tmp_path, progress=False)
-    report = train(dataclasses.replace(CONFIG, seed=3), training_set, tmp_path, resume=False, progress=False)
+        train(CONFIG, tiny(grasps=7), tmp_path, progress=False)
+    report = train(dataclasses.replace(CONFIG, seed=3), pack, tmp_path, resume=False, progress=False)
     assert report.steps == 6
 
 
 @pytest.mark.parametrize("content", [b"", b"junk", b"\x80\x02cos\nsystem\n(S'true'\ntR."])
-def test_damaged_state_is_refused(training_set, tmp_path, content):
-    (tmp_path / "state.pt").write_bytes(content)
+def test_damaged_state_is_refused(pack, tmp_path, content):
+    (tmp_path / "state.safetensors").write_bytes(content)
     with pytest.raises(CheckpointError, match="delete it"):
-        train(CONFIG, training_set, tmp_path, progress=False)
+        train(CONFIG, pack, tmp_path, progress=False)
+
+
+def test_a_state_that_lacks_a_part_is_refused(pack, tmp_path):
+    train(CONFIG, pack, tmp_path, progress=False)
+    file = tmp_path / "state.safetensors"
+    header = tensor_file.describe(file, run_state._STATE).header
+    arrays = tensor_file.read_arrays(file, run_state._STATE)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-100])
+    with pytest.raises(CheckpointError, match="delete it"):
+        train(CONFIG, pack, tmp_path, progress=False)
+    for broken in (
+        {name: array for name, array in arrays.items() if not name.startswith("model/pose_head")},
+        {**arrays, "optimizer/x": arrays["optimizer/0/step"]},
+    ):
+        tensor_file.write_tensor_file(file, broken, header)
+        with pytest.raises(CheckpointError, match="delete it"):
+            train(CONFIG, pack, tmp_path, progress=False)
 
 
 @pytest.mark.parametrize(
@@ -115,39 +202,75 @@ def test_damaged_state_is_refused(training_set, tmp_path, content):
         ({"scenes_per_batch": 5}, "'batch'"),
         ({"steps": 0}, "'steps'"),
         ({"device": "nonsense"}, "'device'"),
-        ({"validation_fraction": 1.0}, "no scene is left"),
+        ({"validation_fraction": 1.0}, "no grasp is left"),
+        ({"kind": "gan"}, "no model of kind 'gan'; known are cvae"),
+        ({"model": {"width": 10}}, "width"),
+        ({"model": {"depth": 10}}, "unknown key 'depth'"),
+        ({"weights": {"likelihood": 1.0}}, "unknown term 'likelihood'"),
+        ({"warm_ups": {"likelihood": 1}}, "unknown term 'likelihood'"),
     ],
 )
-def test_bad_configs_are_refused(training_set, tmp_path, change, message):
+def test_bad_configs_are_refused(pack, tmp_path, change, message):
     with pytest.raises(ConfigError, match=message):
-        train(dataclasses.replace(CONFIG, **change), training_set, tmp_path, progress=False)
+        train(dataclasses.replace(CONFIG, **change), pack, tmp_path, progress=False)
 
 
-def test_bad_grasps_are_refused(training_set, tmp_path):
-    good = training_set.samples[0]
-    for bad in (
-        dataclasses.replace(good, hand=9),
-        dataclasses.replace(good, p_WLs=good.p_WLs[:-1]),
-        dataclasses.replace(good, p_WLs=np.full_like(good.p_WLs, np.nan)),
-    ):
-        with pytest.raises(ConfigError):
-            train(CONFIG, dataclasses.replace(training_set, samples=(bad,)), tmp_path, progress=False)
+def test_a_configuration_spells_out_what_it_leaves_to_the_model(tmp_path):
+    file = tmp_path / "train.yaml"
+    file.write_text("model: {width: 32}\nweights: {cross: 0.5}\n")
+    config = read_train_config(file, steps=7, minutes=None)
+    assert config.model["width"] == 32 and config.model["latent"] == 32 and config.steps == 7
+    assert config.weights["cross"] == 0.5 and config.weights["reconstruction"] == 1.0
+    assert resolve(config) == config
 
 
-def test_held_out_scenes_are_not_trained_on(training_set):
-    data = pack(training_set, torch.device("cpu"))
-    kept, held = split_scenes(data, CONFIG, None)
-    assert len(held) == 1 and set(kept) | set(held) == set(range(6))
-    kept, held = split_scenes(data, CONFIG, [0, 5])
-    assert held.tolist() == [0, 5] and kept.tolist() == [1, 2, 3, 4]
+def test_held_out_scenes_are_not_trained_on(pack):
+    split = split_grasps(pack, CONFIG)
+    assert len(split.scenes) == 1 and split.scenes.keys() | split.train.keys() == set(range(6))
+    named = dataclasses.replace(pack, held_scenes=np.array([1, 0, 0, 0, 0, 1], dtype=np.uint8))
+    split = split_grasps(named, CONFIG)
+    assert list(split.scenes) == [0, 5] and list(split.train) == [1, 2, 3, 4] and not split.hands
 
 
-def test_couples_are_pairs_of_two_hands(training_set):
-    data = pack(training_set, torch.device("cpu"))
-    batch = draw_batch(data, np.arange(6), batch_sizes(CONFIG), np.random.default_rng(0))
+def test_held_out_hands_and_failures_are_not_trained_on(pack, tmp_path):
+    outcome = np.zeros_like(pack.outcome)
+    outcome[::3] = 1
+    held = dataclasses.replace(pack, held_hands=np.array([0, 1], dtype=np.uint8), outcome=outcome)
+    split = split_grasps(held, CONFIG)
+    trained = np.concatenate(list(split.train.values()))
+    assert (pack.hand[trained] == 0).all() and (outcome[trained] == 0).all()
+    new = np.concatenate(list(split.hands.values()))
+    assert (pack.hand[new] == 1).all() and (outcome[new] == 0).all()
+    report = train(dataclasses.replace(CONFIG, steps=2), held, tmp_path, progress=False)
+    assert {"posterior_tip_mm", "hands_posterior_tip_mm"} <= report.validation.keys()
+
+
+def test_couples_are_pairs_of_two_hands(pack):
+    data = load_pack(pack, torch.device("cpu"))
+    pool = split_grasps(pack, dataclasses.replace(CONFIG, validation_fraction=0.0)).train
+    batch = draw_batch(data, pool, batch_sizes(CONFIG), np.random.default_rng(0))
     assert batch.poses.shape[0] == 8
     assert bool(batch.paired.all())
     assert bool((batch.hand[::2] != batch.hand[1::2]).all())
     assert bool((batch.cloud[::2] == batch.cloud[1::2]).all())
     # A pair shares its object point, and so the feature that conditions it.
     assert bool((batch.point[::2] == batch.point[1::2]).all())
+
+
+def test_a_grasp_is_the_same_alone_and_padded(pack):
+    """Hands of unequal numbers of links: what the batch says of the smaller does not depend on its company."""
+    data = load_pack(pack, torch.device("cpu"))
+    sizes = batch_sizes(CONFIG)
+    small = np.flatnonzero((pack.scene == 0) & (pack.hand == 1))[:2]
+    large = np.flatnonzero((pack.scene == 0) & (pack.hand == 0))[:2]
+    pool = {0: np.flatnonzero(pack.scene == 0)}
+    alone, mixed = (
+        training.make_batch(data, pool, grasps, np.zeros(1), sizes, np.random.default_rng(0))
+        for grasps in (small, np.concatenate([large, small]))
+    )
+    n = int(pack.links[1])
+    assert alone.mask.shape == (2, n) and mixed.mask.shape == (4, int(pack.links[0]))
+    assert mixed.mask[2:].sum(dim=1).tolist() == [n, n]
+    torch.testing.assert_close(mixed.poses[2:, :n], alone.poses)
+    torch.testing.assert_close(mixed.hands.spd[1, :n, :n], alone.hands.spd[0])
+    torch.testing.assert_close(mixed.hands.points[1, :n], alone.hands.points[0])

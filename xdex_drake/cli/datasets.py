@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
-from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, one_thread, progress, table
+from xdex_drake.cli.output import (
+    check_output_file,
+    check_writable,
+    facts,
+    keeping_finished_work,
+    one_thread,
+    progress,
+    table,
+)
 
 if TYPE_CHECKING:
     from xdex_drake.jobs.processes import UnitResult
@@ -123,8 +131,55 @@ class DatasetVerify:
 
 
 @dataclass(frozen=True)
+class DatasetPack:
+    """Packs a data set into one file that holds all that training needs, and is read where only torch is installed.
+
+    Then `python -m xdex_drake.learning.training CONFIG.yaml --pack FILE.safetensors --out DIR` trains on any machine.
+    Try `xdex dataset pack pairs --out pairs.safetensors`.
+
+    Attributes:
+        folder: Folder of the data set.
+        out: The file.
+        splits: A YAML file that lists `validation_scenes` and `validation_hands`; training chooses scenes without it.
+        failures: Grasps that did not lift to keep, at most this many for each that did.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    out: Path = Path("pack.safetensors")
+    splits: Path | None = None
+    failures: float = 1.0
+
+    def run(self) -> int:
+        """Packs, prints what the file holds."""
+        one_thread()
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.learning.pack import LIFTED, write_pack
+        from xdex_drake.learning.samples import Splits, pack_dataset
+        from xdex_drake.typed_yaml import read_typed_yaml
+
+        if not self.failures >= 0.0:
+            raise ConfigError(f"--failures is {self.failures}; give 0 or more")
+        check_output_file(self.out, ".safetensors")
+        splits = None if self.splits is None else read_typed_yaml(self.splits, Splits)
+        pack = pack_dataset(self.folder, splits=splits, failures=self.failures)
+        write_pack(pack, self.out)
+        lines = [
+            ("hands", len(pack.hand_names)),
+            ("scenes", len(pack.scene_names)),
+            ("grasps that lifted", int((pack.outcome == LIFTED).sum())),
+            ("grasps that did not", int((pack.outcome != LIFTED).sum())),
+            ("scenes that validate", int(pack.held_scenes.sum())),
+            ("hands that validate", int(pack.held_hands.sum())),
+            ("size [MB]", f"{self.out.stat().st_size / 1e6:.2f}"),
+            ("file", str(self.out)),
+        ]
+        print(facts(lines))
+        return 0
+
+
+@dataclass(frozen=True)
 class Train:
-    """Trains the cross-embodiment model on a paired data set, on a CPU or a GPU.
+    """Trains the cross-embodiment model on a paired data set or a training pack, on a CPU or a GPU.
 
     Ctrl-C ends the run after the current step with everything saved; the same command goes on from there.
     Try `xdex train --print-config > train.yaml`, then `xdex train train.yaml --data pairs --out model`.
@@ -132,6 +187,7 @@ class Train:
     Attributes:
         config: A YAML file; what it leaves out keeps its default. Without it, all defaults hold.
         data: Folder of the data set.
+        pack: A training pack, instead of a data set.
         out: Folder for the model, its log and the state to go on from.
         steps: Another number of steps than the configuration's.
         minutes: Another limit of time than the configuration's.
@@ -139,7 +195,8 @@ class Train:
     """
 
     config: tyro.conf.Positional[Path | None] = None
-    data: Path = Path("dataset")
+    data: Path | None = None
+    pack: Path | None = None
     out: Path = Path("model")
     steps: int | None = None
     minutes: float | None = None
@@ -147,28 +204,25 @@ class Train:
 
     def run(self) -> int:
         """Trains, prints what was done."""
-        from xdex_drake.learning.training import TrainConfig, train
-        from xdex_drake.typed_yaml import read_typed_yaml
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.learning.training import read_train_config, train
 
-        config = TrainConfig() if self.config is None else read_typed_yaml(self.config, TrainConfig)
-        if self.steps is not None:
-            config = replace(config, steps=self.steps)
-        if self.minutes is not None:
-            config = replace(config, minutes=self.minutes)
+        config = read_train_config(self.config, steps=self.steps, minutes=self.minutes)
         if self.print_config:
             return _print_yaml(config)
-        from xdex_drake.learning.samples import training_set_from_dataset
-
+        if self.data is not None and self.pack is not None:
+            raise ConfigError("--data and --pack are both given; give one of them")
         check_writable(self.out / "model.safetensors")
-        report = train(config, training_set_from_dataset(self.data), self.out)
-        lines: list[tuple[str, object]] = [
-            ("stopped", report.stopped),
-            ("steps", report.steps),
-            ("seconds", f"{report.seconds:.0f}"),
-            *((f"validation {name}", value) for name, value in report.validation.items()),
-            ("model", str(report.checkpoint)),
-        ]
-        print(facts(lines))
+        if self.pack is not None:
+            from xdex_drake.learning.pack import read_pack
+
+            pack = read_pack(self.pack)
+        else:
+            from xdex_drake.learning.samples import pack_dataset
+
+            pack = pack_dataset(self.data or Path("dataset"))
+        report = train(config, pack, self.out)
+        print(facts(report.lines()))
         return 130 if report.stopped == "interrupted" else 0
 
 

@@ -100,8 +100,8 @@ class Shape(Protocol):
         """Area of the surface [m^2]."""
         ...
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
-        """Independent points, uniform on the surface, in L [m], shape (count, 3)."""
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Independent points, uniform on the surface, in L [m], and outward unit normals, each of shape (count, 3)."""
         ...
 
 
@@ -158,9 +158,10 @@ class Sphere:
         """See `Shape.area`."""
         return 4.0 * np.pi * self.radius**2
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """See `Shape.sample`."""
-        return self.center + self.radius * _directions(count, rng)
+        normals = _directions(count, rng)
+        return self.center + self.radius * normals, normals
 
     def balls(self, scallop: float, most: int) -> Array:
         """The ball itself; see `Capsule.balls`."""
@@ -245,7 +246,7 @@ class Capsule:
         """See `Shape.area`."""
         return 2.0 * np.pi * self.radius * (self.length + 2.0 * self.radius)
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """See `Shape.sample`: the side and the two half balls by area."""
         length, axis = self.length, self.axis
         direction = _directions(count, rng)
@@ -254,7 +255,7 @@ class Capsule:
         radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-12)
         side = self.p0 + rng.random(count)[:, None] * (self.p1 - self.p0) + self.radius * radial
         cap = np.where((direction @ axis)[:, None] > 0.0, self.p1, self.p0) + self.radius * direction
-        return np.where(on_side[:, None], side, cap)
+        return np.where(on_side[:, None], side, cap), np.where(on_side[:, None], radial, direction)
 
     def balls(self, scallop: float, most: int) -> Array:
         """Balls along the axis, both ends among them, that stand for the shape.
@@ -336,14 +337,15 @@ class Box:
         x, y, z = self.size
         return 2.0 * float(x * y + y * z + z * x)
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """See `Shape.sample`."""
         x, y, z = self.size
         faces = np.array([y * z, z * x, x * y])
         axis = rng.choice(3, count, p=faces / faces.sum())
-        points = rng.uniform(-0.5, 0.5, (count, 3))
-        points[np.arange(count), axis] = rng.choice([-0.5, 0.5], count)
-        return (points * self.size) @ self.R_LG.T + self.p_LG
+        points, normals = rng.uniform(-0.5, 0.5, (count, 3)), np.zeros((count, 3))
+        side = rng.choice([-0.5, 0.5], count)
+        points[np.arange(count), axis], normals[np.arange(count), axis] = side, 2.0 * side
+        return (points * self.size) @ self.R_LG.T + self.p_LG, normals @ self.R_LG.T
 
     def half_spaces(self) -> tuple[Array, Array]:
         """The box as {p: normals p <= offsets}; see `Convex.half_spaces`."""
@@ -451,13 +453,16 @@ class Convex:
         """See `Shape.area`."""
         return self.hull.area
 
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """See `Shape.sample`."""
         a, b, c = self.vertices[self.hull.triangles].transpose(1, 0, 2)
-        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) + 1e-15
+        normals = np.cross(b - a, c - a)
+        normals *= np.sign(np.sum(normals * (a - self.vertices.mean(axis=0)), axis=1, keepdims=True))
+        areas = np.linalg.norm(normals, axis=1) + 1e-15
         face = rng.choice(len(areas), count, p=areas / areas.sum())
         s, t = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-        return a[face] * (1.0 - s) + b[face] * (s * (1.0 - t)) + c[face] * (s * t)
+        points = a[face] * (1.0 - s) + b[face] * (s * (1.0 - t)) + c[face] * (s * t)
+        return points, normals[face] / areas[face, None]
 
     def half_spaces(self) -> tuple[Array, Array]:
         """The hull as {p: normals p <= offsets}.

@@ -1,7 +1,6 @@
 """What the model is told about a hand, an object and a grasp: plain arrays, made from descriptions. No torch here."""
 
 import hashlib
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand, Link
 from xdex_drake.hand.heading import heading, object_point
 from xdex_drake.hand.kinematics import zero_configuration
+from xdex_drake.learning.pack import FEATURE_SCHEMA, HandFeatures, ObjectFeatures
 
 __all__ = [
     "FEATURE_SCHEMA",
@@ -21,56 +21,8 @@ __all__ = [
     "shortest_path_distances",
 ]
 
-FEATURE_SCHEMA = 1
-"""Version of what the arrays of this module mean; a checkpoint of another version is refused."""
 POINTS_PER_LINK = 64
 POINTS_PER_OBJECT = 1024
-
-
-@dataclass(frozen=True)
-class HandFeatures:
-    """A hand as the model sees it.
-
-    Attributes:
-        name: Name of the hand.
-        link_points: Points on the surface of each link, in H at the zero configuration [m], shape (L, N, 3).
-        spd: Number of joints on the path between two links, shape (L, L), int64.
-        parents: Index of each link's parent, -1 for the base, shape (L,), int64.
-        link_names: Names of the links.
-        R_HLs_zero: Rotations of the links in H at the zero configuration, shape (L, 3, 3).
-        p_HLs_zero: Origins of the links in H at the zero configuration [m], shape (L, 3).
-        keypoint_names: `wrist`, then the fingers in the order of the description.
-        keypoint_links: Index of each keypoint's link, shape (K,), int64.
-        keypoint_offsets: From the link's origin to the keypoint at the zero configuration, axes of H [m], shape (K, 3).
-        digest: Hexadecimal digest of the arrays above.
-    """
-
-    name: str
-    link_points: Array
-    spd: np.ndarray
-    parents: np.ndarray
-    link_names: tuple[str, ...]
-    R_HLs_zero: Array
-    p_HLs_zero: Array
-    keypoint_names: tuple[str, ...]
-    keypoint_links: np.ndarray
-    keypoint_offsets: Array
-    digest: str
-
-
-@dataclass(frozen=True)
-class ObjectFeatures:
-    """An object in a scene as the model sees it.
-
-    Attributes:
-        points: Points on its surface relative to its center, axes of W (z up) [m], shape (N, 3).
-        p_WCenter: Its center, the center of mass or the mean of the points, in W [m], shape (3,).
-        name: Name of the scene.
-    """
-
-    points: Array
-    p_WCenter: Array = field(default_factory=lambda: np.zeros(3))
-    name: str = ""
 
 
 def hand_features(hand: Hand, points: int = POINTS_PER_LINK, seed: int = 0) -> HandFeatures:
@@ -86,9 +38,9 @@ def hand_features(hand: Hand, points: int = POINTS_PER_LINK, seed: int = 0) -> H
     """
     R_HLs, p_HLs = zero_configuration(hand)
     rng = np.random.default_rng(seed)
-    link_points = np.stack(
-        [sample_link(link, points, rng) @ R.T + p for link, R, p in zip(hand.links, R_HLs, p_HLs, strict=True)]
-    )
+    samples = [sample_link(link, points, rng) for link in hand.links]
+    link_points = np.stack([p_LPs @ R.T + p for (p_LPs, _), R, p in zip(samples, R_HLs, p_HLs, strict=True)])
+    link_normals = np.stack([n_LPs @ R.T for (_, n_LPs), R in zip(samples, R_HLs, strict=True)])
     tips = [hand.link_index[finger.tip_link] for finger in hand.fingers]
     links = np.array([0, *tips], dtype=np.int64)
     offsets = np.array([-p_HLs[0], *(R_HLs[k] @ f.p_LTip for k, f in zip(tips, hand.fingers, strict=True))])
@@ -99,6 +51,7 @@ def hand_features(hand: Hand, points: int = POINTS_PER_LINK, seed: int = 0) -> H
     return HandFeatures(
         name=hand.name,
         link_points=link_points,
+        link_normals=link_normals,
         spd=spd,
         parents=hand.parents,
         link_names=tuple(link.name for link in hand.links),
@@ -112,7 +65,13 @@ def hand_features(hand: Hand, points: int = POINTS_PER_LINK, seed: int = 0) -> H
 
 
 def object_features(
-    p_WPoints: Array, p_WCenter: Array | None = None, count: int = POINTS_PER_OBJECT, seed: int = 0, name: str = ""
+    p_WPoints: Array,
+    p_WCenter: Array | None = None,
+    count: int = POINTS_PER_OBJECT,
+    seed: int = 0,
+    name: str = "",
+    *,
+    n_WPoints: Array | None = None,
 ) -> ObjectFeatures:
     """Features of an object from its points in W.
 
@@ -122,6 +81,7 @@ def object_features(
         count: Points to keep; fewer given points are all kept.
         seed: Seed of the choice.
         name: Name of the scene.
+        n_WPoints: Unit normals out of the object at the points, shape (n, 3); None where they are not known.
 
     Returns:
         Its features.
@@ -132,9 +92,11 @@ def object_features(
     if p_WPoints.ndim != 2 or p_WPoints.shape[1] != 3 or len(p_WPoints) == 0 or not np.isfinite(p_WPoints).all():
         raise ValueError(f"object points must be finite, of shape (n, 3) with n > 0; got shape {p_WPoints.shape}")
     center = p_WPoints.mean(axis=0) if p_WCenter is None else np.asarray(p_WCenter, dtype=float)
+    normals = np.zeros_like(p_WPoints) if n_WPoints is None else n_WPoints
     if len(p_WPoints) > count:
-        p_WPoints = p_WPoints[np.random.default_rng(seed).choice(len(p_WPoints), count, replace=False)]
-    return ObjectFeatures(p_WPoints - center, center, name)
+        kept = np.random.default_rng(seed).choice(len(p_WPoints), count, replace=False)
+        p_WPoints, normals = p_WPoints[kept], normals[kept]
+    return ObjectFeatures(p_WPoints - center, normals, center, name)
 
 
 def shortest_path_distances(parents: np.ndarray) -> np.ndarray:
@@ -154,7 +116,7 @@ def shortest_path_distances(parents: np.ndarray) -> np.ndarray:
     return spd
 
 
-def sample_link(link: Link, count: int, rng: np.random.Generator) -> Array:
+def sample_link(link: Link, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Points spread over the surface of a link's shapes; its origin repeated where it has none.
 
     Args:
@@ -163,20 +125,24 @@ def sample_link(link: Link, count: int, rng: np.random.Generator) -> Array:
         rng: Generator.
 
     Returns:
-        Points in L [m], shape (count, 3).
+        Points in L [m], shape (count, 3), and unit normals out of the shapes, zero where there is none, shape
+        (count, 3).
     """
     if not link.geometry:
-        return np.zeros((count, 3))
+        return np.zeros((count, 3)), np.zeros((count, 3))
     shares = np.array([g.area() for g in link.geometry]) + 1e-12
     many = rng.multinomial(8 * count, shares / shares.sum())
-    return _spread(np.concatenate([g.sample(n, rng) for g, n in zip(link.geometry, many, strict=True)]), count)
+    samples = [g.sample(n, rng) for g, n in zip(link.geometry, many, strict=True)]
+    points, normals = (np.concatenate(parts) for parts in zip(*samples, strict=True))
+    chosen = _spread(points, count)
+    return points[chosen], normals[chosen]
 
 
-def _spread(points: Array, count: int) -> Array:
-    """Farthest-point subset, shape (count, 3): even where independent samples clump."""
+def _spread(points: Array, count: int) -> np.ndarray:
+    """Farthest-point subset, shape (count,): even where independent samples clump."""
     chosen = np.zeros(count, dtype=np.int64)
     distance = np.full(len(points), np.inf)
     for k in range(1, count):
         distance = np.minimum(distance, np.sum((points - points[chosen[k - 1]]) ** 2, axis=1))
         chosen[k] = np.argmax(distance)
-    return points[chosen]
+    return chosen

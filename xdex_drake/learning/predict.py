@@ -1,4 +1,4 @@
-"""Link poses from the model: sampling and neural retargeting. Inverse kinematics then turns them into grasps."""
+"""Link poses from a model: sampling and neural retargeting. Inverse kinematics then turns them into grasps."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,15 @@ from torch import Tensor
 from xdex_drake.arrays import Array
 from xdex_drake.hand.link_pose import link_pose_vectors, link_poses_from_vectors
 from xdex_drake.learning.features import HandFeatures, ObjectFeatures
-from xdex_drake.learning.models.cvae import CVAE, HandBatch, denormalize_poses, normalize_poses
+from xdex_drake.learning.protocol import (
+    Clouds,
+    Drawn,
+    HandBatch,
+    LatentModel,
+    Model,
+    denormalize_poses,
+    normalize_poses,
+)
 
 
 @dataclass(frozen=True)
@@ -21,7 +29,7 @@ class Prediction:
         p_WLs: Origins of the links in W [m], shape (count, L, 3).
         p_WPoints: The object points that the grasps are conditioned on, in W [m], shape (count, 3).
         point_indices: Their indices in the object's points, shape (count,).
-        latents: The latents, shape (count, latent).
+        latents: What else was drawn, shape (count, D).
     """
 
     R_WLs: Array
@@ -32,7 +40,7 @@ class Prediction:
 
 
 def sample(
-    model: CVAE,
+    model: Model,
     hand: HandFeatures,
     object: ObjectFeatures,
     count: int,
@@ -40,11 +48,10 @@ def sample(
     seed: int = 0,
     temperature: float = 1.0,
     point_indices: np.ndarray | None = None,
-    latents: Array | None = None,
 ) -> Prediction:
-    """Draw grasps of an object by a hand.
+    """Draws grasps of an object by a hand.
 
-    Object points and latents depend on the object and the seed alone: calls for several hands with one seed give
+    What does not depend on the hand is drawn alike for every hand: calls for several hands with one seed give
     corresponding grasps.
 
     Args:
@@ -53,28 +60,24 @@ def sample(
         object: The object.
         count: Number of grasps.
         seed: Seed of the draw.
-        temperature: Factor on the latents; 0 gives the most typical grasp of each point.
+        temperature: Factor on what is drawn from a normal distribution; 0 gives the most typical grasp of each point.
         point_indices: Condition on these points of the object instead of drawn ones, shape (count,).
-        latents: Use these latents instead of drawn ones, shape (count, latent).
 
     Returns:
         The grasps.
     """
     rng = np.random.default_rng(seed)
     with torch.inference_mode():
-        features, logits = _object(model, object)
-        probability = torch.softmax(logits.double(), dim=0).cpu().numpy()
-        drawn = rng.choice(len(probability), count, p=probability / probability.sum())
-        noise = temperature * rng.standard_normal((count, model.config.latent))
-        indices = drawn if point_indices is None else np.asarray(point_indices, dtype=np.int64)
-        z = noise if latents is None else np.asarray(latents, dtype=float)
-        return _decode(model, hand, object, features, indices, _tensor(z, model))
+        points = None if point_indices is None else _indices(point_indices, model)
+        arguments = one_hand(hand, model), one_cloud(object, model), count, rng
+        drawn = model.sample(*arguments, temperature=temperature, points=points)
+        return _prediction(drawn, hand, object)
 
 
 def encode(
-    model: CVAE, hand: HandFeatures, object: ObjectFeatures, R_WLs: Array, p_WLs: Array, p_WPoints: Array
+    model: LatentModel, hand: HandFeatures, object: ObjectFeatures, R_WLs: Array, p_WLs: Array, p_WPoints: Array
 ) -> tuple[Array, np.ndarray]:
-    """Latent means of given grasps, and the nearest of the object's points to the point that each heads for.
+    """Most likely latents of given grasps, and the nearest of the object's points to the point that each heads for.
 
     Args:
         model: The model.
@@ -85,21 +88,19 @@ def encode(
         p_WPoints: Object points in W [m], shape (count, 3).
 
     Returns:
-        Means, shape (count, latent), and indices of points, shape (count,).
+        Latents, shape (count, D), and indices of points, shape (count,).
     """
     apart = (p_WPoints - object.p_WCenter)[:, None] - object.points
     indices = np.argmin(np.linalg.norm(apart, axis=-1), axis=1)
     with torch.inference_mode():
-        features, _ = _object(model, object)
         vectors = link_pose_vectors(R_WLs, p_WLs - object.p_WCenter, hand.R_HLs_zero)
         poses = normalize_poses(_tensor(vectors, model), _tensor(object.points[indices], model))
-        mask = torch.ones(poses.shape[:2], dtype=torch.bool, device=poses.device)
-        mean, _ = model.encode(poses, mask, features[torch.as_tensor(indices, device=features.device)])
-    return mean.double().cpu().numpy(), indices
+        latents = model.encode_grasps(one_hand(hand, model), one_cloud(object, model), poses, _indices(indices, model))
+    return latents.double().cpu().numpy(), indices
 
 
 def retarget(
-    model: CVAE,
+    model: LatentModel,
     source: HandFeatures,
     target: HandFeatures,
     object: ObjectFeatures,
@@ -107,7 +108,7 @@ def retarget(
     p_WLs: Array,
     p_WPoints: Array,
 ) -> Prediction:
-    """Neural retargeting, Eq. (7): encode one hand's grasps, decode their latent means for another hand.
+    """Neural retargeting, Eq. (7): encode one hand's grasps, decode their most likely latents for another hand.
 
     Args:
         model: The model.
@@ -122,37 +123,51 @@ def retarget(
         The target's grasps.
     """
     mean, indices = encode(model, source, object, R_WLs, p_WLs, p_WPoints)
-    return sample(model, target, object, len(mean), point_indices=indices, latents=mean)
+    with torch.inference_mode():
+        latents, points = _tensor(mean, model), _indices(indices, model)
+        poses = model.decode_grasps(one_hand(target, model), one_cloud(object, model), latents, points)
+        return _prediction(Drawn(poses, points, latents), target, object)
 
 
-def _object(model: CVAE, object: ObjectFeatures) -> tuple[Tensor, Tensor]:
-    """Features, shape (N, d), and logits, shape (N,), of the object's points."""
-    features = model.point_features(_tensor(object.points, model)[None])
-    return features[0], model.point_logits(features)[0]
-
-
-def _decode(
-    model: CVAE, hand: HandFeatures, object: ObjectFeatures, features: Tensor, indices: np.ndarray, z: Tensor
-) -> Prediction:
-    batch = HandBatch(
+def one_hand(hand: HandFeatures, model: Model) -> HandBatch:
+    """A hand as a model takes it, on the model's device."""
+    L = len(hand.link_names)
+    return HandBatch(
         points=_tensor(hand.link_points, model)[None],
+        normals=_tensor(hand.link_normals, model)[None],
         origins=_tensor(hand.p_HLs_zero, model)[None],
-        spd=torch.as_tensor(hand.spd, device=z.device)[None],
-        mask=torch.ones((1, len(hand.link_names)), dtype=torch.bool, device=z.device),
+        spd=_indices(hand.spd, model)[None],
+        mask=torch.ones((1, L), dtype=torch.bool, device=_device(model)),
     )
-    count = len(indices)
-    links = model.link_features(batch).expand(count, -1, -1)
-    poses = model.decode(links, batch.mask.expand(count, -1), z, features[torch.as_tensor(indices, device=z.device)])
-    vectors = denormalize_poses(poses, _tensor(object.points[indices], model)).double().cpu().numpy()
+
+
+def one_cloud(object: ObjectFeatures, model: Model) -> Clouds:
+    """An object as a model takes it, on the model's device."""
+    table = _tensor(-object.p_WCenter[2:], model)
+    return Clouds(_tensor(object.points, model)[None], _tensor(object.normals, model)[None], table)
+
+
+def _prediction(drawn: Drawn, hand: HandFeatures, object: ObjectFeatures) -> Prediction:
+    indices = drawn.points.cpu().numpy()
+    points = torch.as_tensor(object.points[indices], dtype=drawn.poses.dtype, device=drawn.poses.device)
+    vectors = denormalize_poses(drawn.poses, points).double().cpu().numpy()
     R_WLs, p_WLs = link_poses_from_vectors(vectors, hand.R_HLs_zero)
     return Prediction(
         R_WLs=R_WLs,
         p_WLs=p_WLs + object.p_WCenter,
         p_WPoints=object.points[indices] + object.p_WCenter,
         point_indices=indices,
-        latents=z.double().cpu().numpy(),
+        latents=drawn.latents.double().cpu().numpy(),
     )
 
 
-def _tensor(array: Array, model: CVAE) -> Tensor:
-    return torch.as_tensor(array, dtype=torch.float32, device=next(model.parameters()).device)
+def _device(model: Model) -> torch.device:
+    return next(model.parameters()).device
+
+
+def _tensor(array: Array, model: Model) -> Tensor:
+    return torch.as_tensor(array, dtype=torch.float32, device=_device(model))
+
+
+def _indices(array: np.ndarray, model: Model) -> Tensor:
+    return torch.as_tensor(array, dtype=torch.int64, device=_device(model))

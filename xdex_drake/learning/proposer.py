@@ -17,8 +17,8 @@ from xdex_drake.hand.kinematics import zero_configuration
 from xdex_drake.hand.link_pose import rotations_since_zero
 from xdex_drake.learning.checkpoint import load_checkpoint
 from xdex_drake.learning.features import hand_features, object_features
-from xdex_drake.learning.models.cvae import CVAE
 from xdex_drake.learning.predict import Prediction, sample
+from xdex_drake.learning.protocol import Model
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.link_pose_ik import link_pose_ik, touching_fingers
 from xdex_drake.programs.retargeting import REFINEMENT
@@ -34,7 +34,7 @@ def default_checkpoint() -> Path:
     return Path(__file__).parent / "weights" / "small"
 
 
-def predict(model: CVAE, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Prediction:
+def predict(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Prediction:
     """Draws link poses for a hand on a scene.
 
     Args:
@@ -47,8 +47,9 @@ def predict(model: CVAE, hand: Hand, scene: Scene, *, count: int, seed: int = 0)
     Returns:
         Link poses in W.
     """
-    points_W, _ = point_cloud(scene, OBJECT_POINTS, seed=0)
-    cloud = object_features(points_W, scene.X_WO @ scene.object.p_OOcm, count=OBJECT_POINTS, seed=0)
+    points_W, normals_W = point_cloud(scene, OBJECT_POINTS, seed=0)
+    center_W = scene.X_WO @ scene.object.p_OOcm
+    cloud = object_features(points_W, center_W, count=OBJECT_POINTS, seed=0, n_WPoints=normals_W)
     return sample(model, hand_features(hand), cloud, count, seed=seed)
 
 
@@ -77,6 +78,23 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     return Candidates(found.R_WHs, found.p_WHs, found.qs, fingers, found.errors, {})
 
 
+def draw_candidates(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Candidates:
+    """Predicted grasps as configurations near which a program looks for a grasp: drawn, solved for, refined in a batch.
+
+    Args:
+        model: The model.
+        hand: The hand; the model need not have seen it.
+        scene: The scene.
+        count: Number of predictions.
+        seed: Seed of the draws.
+
+    Returns:
+        One candidate a prediction, in its order.
+    """
+    raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
+    return refine(hand, scene, raw, settings=REFINEMENT)
+
+
 @dataclass(frozen=True)
 class ModelProposer:
     """Proposes what a model draws, refined; equal seeds give corresponding candidates of different hands.
@@ -92,15 +110,14 @@ class ModelProposer:
     def __call__(self, hand: Hand, scene: Scene, count: int, seed: int) -> Iterator[Candidate]:
         """Draws, solves inverse kinematics and refines once, for all candidates; see `grasping.proposers.Proposer`."""
         model, start = _model(self.checkpoint), time.perf_counter()
-        raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
-        refined = refine(hand, scene, raw, settings=REFINEMENT)
+        drawn = draw_candidates(model, hand, scene, count=count, seed=seed)
         share = (time.perf_counter() - start) / count
         for k in range(count):
-            X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(refined.R_WHs[k]), refined.p_WHs[k])
-            build = partial(polish_program, hand, scene, X_WH, refined.qs[k], refined.fingers[k], settings=self.polish)
+            X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(drawn.R_WHs[k]), drawn.p_WHs[k])
+            build = partial(polish_program, hand, scene, X_WH, drawn.qs[k], drawn.fingers[k], settings=self.polish)
             yield Candidate(f"m{k}", lambda build=build: iter((build(),)), share)
 
 
 @lru_cache(maxsize=2)
-def _model(checkpoint: str) -> CVAE:
+def _model(checkpoint: str) -> Model:
     return load_checkpoint(checkpoint)

@@ -1,19 +1,21 @@
-"""Training of the model: a function over data in memory, that can be stopped at any time and goes on where it stopped.
+"""Training of a model: a function over a training pack, that can be stopped at any time and goes on where it stopped.
 
 Each step draws from a generator seeded with (seed, step): an unbroken run and one that was stopped and resumed do the
-same.
+same. Torch, NumPy, safetensors, PyYAML and tqdm suffice:
+
+    python -m xdex_drake.learning.training CONFIG.yaml --pack FILE.safetensors --out DIR
 """
 
-import io
-import json
+import argparse
 import logging
 import math
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,46 +24,29 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from xdex_drake.errors import CheckpointError, ConfigError
-from xdex_drake.learning.batches import Batch, BatchSizes, Data, TrainingSet, draw_batch, draw_couples, make_batch, pack
-from xdex_drake.learning.checkpoint import save_checkpoint
-from xdex_drake.learning.losses import (
-    embedding_loss,
-    keypoint_loss,
-    keypoints,
-    kl_loss,
-    point_loss,
-    reconstruction_loss,
+from xdex_drake.errors import ConfigError, XdexError
+from xdex_drake.learning.batches import (
+    BatchSizes,
+    Data,
+    draw_batch,
+    draw_couples,
+    grasps_of_scenes,
+    load_pack,
+    make_batch,
 )
-from xdex_drake.learning.models.cvae import CVAE, CVAEConfig
-from xdex_drake.learning.models.layers import LENGTH_UNIT
-from xdex_drake.whole_file import whole_file
+from xdex_drake.learning.checkpoint import FILE_NAME, MODELS, make_model, model_config, save_checkpoint
+from xdex_drake.learning.losses import keypoints
+from xdex_drake.learning.pack import LIFTED, Pack, read_pack
+from xdex_drake.learning.protocol import LENGTH_UNIT, Batch, Model
+from xdex_drake.learning.run_state import STATE_NAME, Progress, cut_log, finite, load_state, save_state, write_log
+from xdex_drake.typed_yaml import read_typed_yaml, to_plain
 
 logger = logging.getLogger(__name__)
 
-STATE_NAME = "state.pt"
-LOG_NAME = "log.jsonl"
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Weights of the loss terms.
-
-    Attributes:
-        reconstruction: Link pose vectors, lambda_R of Eq. (5).
-        kl: Divergence of the latents, lambda_KL of Eq. (5), after its warm-up.
-        point: Cross entropy of the object points.
-        retargeting: Keypoints of two hands decoded from one latent; lowers success on new hands in the paper.
-        embedding: Distance of the latent means of a pair.
-        cross: Reconstruction of one hand's grasp from the latent of its pair, the task of neural retargeting.
-    """
-
-    reconstruction: float = 1.0
-    kl: float = 2e-3
-    point: float = 0.05
-    retargeting: float = 0.0
-    embedding: float = 0.0
-    cross: float = 0.0
+VALIDATION_GRASPS = 16
+"""Grasps of a scene that validate, at most."""
+VALIDATION_SCENES = 32
+"""Scenes in which held-out hands validate, at most."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +62,18 @@ class TrainConfig:
         jitter: Standard deviation of the noise on object points [m].
         learning_rate: Greatest learning rate.
         warm_up: Steps over which it rises.
-        kl_warm_up: Steps over which the weight of the divergence rises.
         weight_decay: Weight decay of AdamW.
         clip: Greatest norm of a gradient.
-        validation_fraction: Fraction of the scenes to hold out.
+        validation_fraction: Fraction of the scenes to hold out where the pack names none.
         log_every: Steps between lines of the log.
         validate_every: Steps between validations.
         save_every: Steps between saves.
         seed: Seed of everything.
         device: `auto` for CUDA where there is one, or a device's name.
-        model: Sizes of the model.
-        weights: Weights of the loss terms.
+        kind: Kind of the model.
+        model: Its settings; what they leave out keeps its default.
+        weights: Weights of the terms of its loss; a term that is left out keeps the kind's own weight.
+        warm_ups: Steps over which the weights of terms rise.
     """
 
     steps: int = 4000
@@ -98,7 +84,6 @@ class TrainConfig:
     jitter: float = 0.001
     learning_rate: float = 1e-3
     warm_up: int = 100
-    kl_warm_up: int = 1000
     weight_decay: float = 0.01
     clip: float = 1.0
     validation_fraction: float = 0.1
@@ -107,8 +92,10 @@ class TrainConfig:
     save_every: int = 200
     seed: int = 0
     device: str = "auto"
-    model: CVAEConfig = field(default_factory=CVAEConfig)
-    weights: LossWeights = field(default_factory=LossWeights)
+    kind: str = "cvae"
+    model: dict[str, Any] = field(default_factory=dict)
+    weights: dict[str, float] = field(default_factory=dict)
+    warm_ups: dict[str, int] = field(default_factory=lambda: {"kl": 1000})
 
 
 class TrainingReport(NamedTuple):
@@ -118,183 +105,99 @@ class TrainingReport(NamedTuple):
         stopped: `finished`, `time` or `interrupted`.
         steps: Steps taken in all, resumed ones included.
         seconds: Wall time in all, resumed parts included.
-        validation: Figures of the last validation, as in the log; empty without held-out scenes.
+        validation: Figures of the last validation, as in the log; empty without held-out grasps.
         checkpoint: The model's file.
     """
 
     stopped: str
     steps: int
     seconds: float
-    validation: dict[str, float]
+    validation: Mapping[str, float]
     checkpoint: Path
 
+    def lines(self) -> list[tuple[str, object]]:
+        """Names and values, to print."""
+        return [
+            ("stopped", self.stopped),
+            ("steps", self.steps),
+            ("seconds", f"{self.seconds:.0f}"),
+            *((f"validation {name}", value) for name, value in self.validation.items()),
+            ("model", str(self.checkpoint)),
+        ]
 
-class Forward(NamedTuple):
-    """What the model made of a batch; see `CVAE` for shapes."""
 
-    links: Tensor
-    mask: Tensor
-    feature: Tensor
-    logits: Tensor
-    mean: Tensor
-    log_sigma: Tensor
+class Split(NamedTuple):
+    """Which lifted grasps train, and which validate: indices, in each scene that has any.
 
-
-def forward(model: CVAE, batch: Batch) -> Forward:
-    """Features and latent distributions of a batch.
-
-    Args:
-        model: The model.
-        batch: The batch.
-
-    Returns:
-        They.
+    Attributes:
+        train: Grasps of training hands in training scenes.
+        scenes: Grasps of training hands in held-out scenes.
+        hands: Grasps of held-out hands.
     """
-    links = model.link_features(batch.hands).index_select(0, batch.hand)  # (B, L, d)
-    mask = batch.hands.mask[batch.hand]  # (B, L)
-    features = model.point_features(batch.clouds)  # (S, N, d)
-    S, N, d = features.shape
-    feature = features.view(S * N, d).index_select(0, batch.cloud * N + batch.point)  # (B, d)
-    mean, log_sigma = model.encode(batch.poses, mask, feature)
-    return Forward(links, mask, feature, model.point_logits(features), mean, log_sigma)
+
+    train: dict[int, np.ndarray]
+    scenes: dict[int, np.ndarray]
+    hands: dict[int, np.ndarray]
 
 
-def loss_terms(model: CVAE, batch: Batch, data: Data, weights: LossWeights) -> dict[str, Tensor]:
-    """The loss terms of a batch, without their weights; options of weight 0 are left out.
+def read_train_config(path: str | Path | None, **changes: Any) -> TrainConfig:
+    """Reads how to train.
 
     Args:
-        model: The model.
-        batch: The batch.
-        data: The data, for its keypoints.
-        weights: Which options to compute.
+        path: A YAML file; what it leaves out keeps its default. None for all defaults.
+        **changes: Fields to set otherwise; those that are None are not.
 
     Returns:
-        Terms by the names of `LossWeights`.
-    """
-    f = forward(model, batch)
-    z = f.mean + f.log_sigma.exp() * batch.noise
-    predicted = model.decode(f.links, f.mask, z, f.feature)
-    terms = {
-        "reconstruction": reconstruction_loss(predicted, batch.poses, f.mask),
-        "kl": kl_loss(f.mean, f.log_sigma),
-        "point": point_loss(f.logits, batch.point_weights),
-    }
-    first = 2 * batch.paired.nonzero().squeeze(1)  # first of each paired couple; its mate follows
-    if len(first) == 0:
-        return terms
-    second = first + 1
-    if weights.embedding > 0.0:
-        terms["embedding"] = embedding_loss(f.mean[first], f.mean[second])
-    if weights.cross > 0.0 or weights.retargeting > 0.0:
-        # Each decodes the other's latent, at its own snapped point: a pair shares the true one.
-        own, mate = torch.cat([first, second]), torch.cat([second, first])
-        crossed = model.decode(f.links[own], f.mask[own], z[mate], f.feature[own])
-        if weights.cross > 0.0:
-            terms["cross"] = reconstruction_loss(crossed, batch.poses[own], f.mask[own])
-        if weights.retargeting > 0.0:
-            a, b = batch.hand_indices[batch.hand[own]], batch.hand_indices[batch.hand[mate]]
-            terms["retargeting"] = keypoint_loss(
-                keypoints(crossed, data.keypoint_links[a], data.keypoint_offsets[a]),
-                keypoints(predicted[mate], data.keypoint_links[b], data.keypoint_offsets[b]),
-                data.keypoint_mask[a] & data.keypoint_mask[b],
-            )
-    return terms
-
-
-@torch.no_grad()
-def validate(model: CVAE, data: Data, scenes: np.ndarray, config: TrainConfig) -> dict[str, float]:
-    """Figures on held-out scenes, the same draw at every call.
-
-    Args:
-        model: The model.
-        data: The data.
-        scenes: The held-out scenes, each with grasps.
-        config: How to train.
-
-    Returns:
-        `reconstruction` and `kl` as in the loss, at the latent mean; `position_mm`, mean error of link origins;
-        `prior_mm`, the same for the best of eight latents from the prior; `cross_mm`, the same for a pair's latent mean
-        (nan without pairs); `point_gain`, nats by which the point's distribution beats the uniform one.
-    """
-    rng = np.random.default_rng(config.seed)
-    model.eval()
-    rows = []
-    for scene in scenes:
-        grasps = draw_couples(data, int(scene), min(16, int((data.scene == scene).sum())), rng)
-        batch = make_batch(data, np.array([scene]), grasps, np.zeros(1), batch_sizes(config), rng)
-        f = forward(model, batch)
-
-        def error(z: Tensor, f: Forward = f, batch: Batch = batch) -> tuple[Tensor, Tensor]:
-            poses = model.decode(f.links, f.mask, z, f.feature)
-            apart = (poses - batch.poses)[..., :3].norm(dim=-1).masked_fill(~f.mask, 0.0)
-            return poses, 1000.0 * LENGTH_UNIT * apart.sum(dim=1) / f.mask.sum(dim=1)
-
-        poses, position = error(f.mean)
-        prior = torch.as_tensor(rng.standard_normal((8, *f.mean.shape)), dtype=f.mean.dtype, device=f.mean.device)
-        crossed = error(f.mean.view(-1, 2, f.mean.shape[1]).flip(1).reshape_as(f.mean))[1].view(-1, 2)[batch.paired]
-        uniform = math.log(config.points)
-        rows.append(
-            {
-                "reconstruction": float(reconstruction_loss(poses, batch.poses, f.mask)),
-                "kl": float(kl_loss(f.mean, f.log_sigma)),
-                "position_mm": float(position.mean()),
-                "prior_mm": float(torch.stack([error(z)[1] for z in prior]).amin(dim=0).mean()),
-                "cross_mm": float(crossed.mean()),
-                "point_gain": uniform - float(point_loss(f.logits, batch.point_weights)),
-            }
-        )
-    model.train()
-    table = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else {})}
-    return {name: float(np.nanmean(v)) if np.isfinite(v).any() else math.nan for name, v in table.items()}
-
-
-def split_scenes(data: Data, config: TrainConfig, validation: Sequence[int] | None) -> tuple[np.ndarray, np.ndarray]:
-    """Scenes to train on and scenes to hold out, of those that have grasps.
-
-    Args:
-        data: The data.
-        config: How to train.
-        validation: Scenes to hold out; None draws a fraction of them, from five scenes on at least one.
-
-    Returns:
-        Scenes to train on and scenes to hold out.
+        The configuration, with every setting of the model and every weight spelt out.
 
     Raises:
-        ConfigError: No scene would be left to train on.
+        ConfigError: The file cannot be used, or contradicts itself.
     """
-    scenes = np.unique(data.scene)
-    if validation is None:
-        count = round(config.validation_fraction * len(scenes))
-        if config.validation_fraction > 0.0 and len(scenes) >= 5:
-            count = max(count, 1)
-        held = np.random.default_rng(config.seed).permutation(scenes)[:count]
-    else:
-        held = np.intersect1d(scenes, np.asarray(list(validation), dtype=np.int64))
-    kept = np.setdiff1d(scenes, held)
-    if len(kept) == 0:
-        raise ConfigError("no scene is left to train on; lower 'validation_fraction' or add scenes")
-    return kept, np.sort(held)
+    config = TrainConfig() if path is None else read_typed_yaml(path, TrainConfig)
+    return resolve(replace(config, **{name: value for name, value in changes.items() if value is not None}))
+
+
+def resolve(config: TrainConfig) -> TrainConfig:
+    """Checks a configuration and spells out what it leaves to the kind of model.
+
+    Args:
+        config: The configuration.
+
+    Returns:
+        The same with every setting of the model and the weight of every term.
+
+    Raises:
+        ConfigError: It contradicts itself, or names what the kind of model does not have.
+    """
+    if config.batch % 2 or not 1 <= config.scenes_per_batch <= config.batch // 2:
+        raise ConfigError(
+            f"'batch' ({config.batch}) must be even and hold two grasps of each of 'scenes_per_batch' "
+            f"({config.scenes_per_batch}) scenes"
+        )
+    for name in ("steps", "points", "log_every", "validate_every", "save_every"):
+        if getattr(config, name) < 1:
+            raise ConfigError(f"'{name}' ({getattr(config, name)}) must be at least 1")
+    settings = to_plain(model_config(config.kind, config.model))
+    known = MODELS[config.kind].weights
+    for name in ("weights", "warm_ups"):
+        if unknown := getattr(config, name).keys() - known.keys():
+            raise ConfigError(f"'{name}' has an unknown term {min(unknown)!r}; known are {', '.join(known)}")
+    return replace(config, model=settings, weights={**known, **config.weights})
 
 
 def train(
-    config: TrainConfig,
-    samples: TrainingSet,
-    out: str | Path,
-    *,
-    validation: Sequence[int] | None = None,
-    resume: bool = True,
-    progress: bool = True,
+    config: TrainConfig, pack: Pack, out: str | Path, *, resume: bool = True, progress: bool = True
 ) -> TrainingReport:
-    """Train a model.
+    """Trains a model.
 
-    Writes `model.safetensors` (the model), `state.pt` (to go on from) and `log.jsonl` into the folder. Ctrl-C ends the
-    run after the current step, with everything saved; a second one ends it at once.
+    Writes `model.safetensors` (the model), `state.safetensors` (to go on from) and `log.jsonl` into the folder. Ctrl-C
+    ends the run after the current step, with everything saved; a second one ends it at once. A run that was killed goes
+    on from its last save, and ends with the weights of an unbroken one.
 
     Args:
         config: How to train.
-        samples: What to learn from.
+        pack: What to learn from.
         out: Folder to write to.
-        validation: Scenes to hold out; by default a fraction of them, by seed.
         resume: Go on from the folder's state where there is one; otherwise start again.
         progress: Whether to show a progress bar.
 
@@ -302,85 +205,230 @@ def train(
         What was done.
 
     Raises:
-        ConfigError: The config or the data cannot be used, or are not those of the folder's state.
+        ConfigError: The configuration or the data cannot be used, or are not those of the folder's state.
         CheckpointError: The folder's state is damaged.
     """
-    _check(config)
+    config, out = resolve(config), Path(out)
     device = _device(config.device)
-    data = pack(samples, device)
-    train_scenes, held_scenes = split_scenes(data, config, validation)
-    out = Path(out)
+    split = split_grasps(pack, config)
     out.mkdir(parents=True, exist_ok=True)
+    run = _Run(config, pack, split, out, device)
+    begun = run.resumed() if resume and (out / STATE_NAME).exists() else Progress()
+    cut_log(out, begun.step)
+    with _interruptible() as interrupted, tqdm(total=config.steps, initial=begun.step, disable=not progress) as bar:
+        stopped, now = _take_steps(run, begun, interrupted, bar)
+    logger.info("training %s after %d steps, %.0f s", stopped, now.step, now.seconds)
+    return TrainingReport(stopped, now.step, now.seconds, now.validation, out / FILE_NAME)
 
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        model = CVAE(config.model).to(device)
-    optimizer = torch.optim.AdamW(model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
-    identity = _identity(config, data, held_scenes)
-    step, before = 0, 0.0
-    if resume and (out / STATE_NAME).exists():
-        step, before = _load_state(out / STATE_NAME, model, optimizer, identity)
-    elif (out / LOG_NAME).exists():
-        (out / LOG_NAME).unlink()
 
-    start, figures, stopped, means = time.monotonic(), {}, "finished", {}
-    weights = asdict(config.weights)
-    last_saved = -1
+class _Run:
+    """A run: the model, its optimiser, its data and its folder."""
 
-    def elapsed() -> float:
-        return before + time.monotonic() - start
+    def __init__(self, config: TrainConfig, pack: Pack, split: Split, out: Path, device: torch.device) -> None:
+        self.config, self.split, self.out = config, split, out
+        self.data, self.sizes = load_pack(pack, device), batch_sizes(config)
+        self.terms = [name for name, weight in config.weights.items() if weight > 0.0]
+        self.model = _seeded_model(config).to(device)
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.identity = _identity(config, pack, split)
+        self.notes = {"seed": config.seed, "grasps": len(pack.hand), "hands": list(pack.hand_names)}
 
-    def save() -> None:
-        notes = {"steps": step, "seed": config.seed, "grasps": len(data.hand), "validation": _finite(figures)}
-        notes["hands"] = [hand.name for hand in samples.hands]
-        save_checkpoint(model, out, notes)
-        _save_state(out / STATE_NAME, model, optimizer, identity, step, elapsed())
+    def resumed(self) -> Progress:
+        """Puts model and optimiser where the folder's state has them."""
+        return load_state(self.out / STATE_NAME, self.model, self.optimizer, self.identity)
 
-    with _interruptible() as interrupted, tqdm(total=config.steps, initial=step, disable=not progress) as bar:
-        while step < config.steps:
-            share = step / config.steps
-            if config.minutes is not None:
-                share = max(share, elapsed() / (60.0 * config.minutes))
-            if share >= 1.0 or interrupted.is_set():
-                stopped = "interrupted" if interrupted.is_set() else "time"
-                break
-            rate = config.learning_rate * min(1.0, (step + 1) / max(config.warm_up, 1))
-            for group in optimizer.param_groups:
-                group["lr"] = rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
-            rng = np.random.default_rng((config.seed, step))
-            batch = draw_batch(data, train_scenes, batch_sizes(config), rng)
-            terms = loss_terms(model, batch, data, config.weights)
-            warm = min(1.0, (step + 1) / max(config.kl_warm_up, 1))
-            loss = torch.stack([weights[n] * (warm if n == "kl" else 1.0) * term for n, term in terms.items()]).sum()
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
-            if not bool(torch.isfinite(norm)):
-                raise ConfigError(f"training diverged at step {step}; lower 'learning_rate' ({config.learning_rate:g})")
-            optimizer.step()
-            step += 1
-            bar.update()
+    def save(self, now: Progress) -> None:
+        """Writes the model and the state to go on from."""
+        notes = {**self.notes, "steps": now.step, "validation": finite(now.validation)}
+        save_checkpoint(self.model, self.out, notes)
+        save_state(self.out / STATE_NAME, self.model, self.optimizer, now, self.identity)
 
-            for name, term in {"loss": loss, **terms}.items():
-                means.setdefault(name, []).append(term.item())
-            if step % config.log_every == 0 or step == config.steps:
-                line = {name: float(np.mean(values)) for name, values in means.items()}
-                _log(out, {"step": step, "seconds": round(elapsed(), 3), **line})
-                bar.set_postfix(loss=f"{line['loss']:.4f}", refresh=False)
-                means = {}
-            if len(held_scenes) and (step % config.validate_every == 0 or step == config.steps):
-                figures = validate(model, data, held_scenes, config)
-                _log(out, {"step": step, "validation": _finite(figures)})
-            if step % config.save_every == 0:
-                save()
-                last_saved = step
-        if stopped == "time" and len(held_scenes):
-            figures = validate(model, data, held_scenes, config)
-            _log(out, {"step": step, "validation": _finite(figures)})
-        if last_saved != step or stopped == "time":
-            save()
-    logger.info("training %s after %d steps, %.0f s", stopped, step, elapsed())
-    return TrainingReport(stopped, step, elapsed(), figures, out / "model.safetensors")
+    def step(self, step: int, share: float) -> dict[str, float]:
+        """Takes a step; returns the loss and its terms.
+
+        Args:
+            step: Number of the step.
+            share: How much of the run is done, from 0 to 1.
+        """
+        config = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(config, step, share)
+        rng = np.random.default_rng((config.seed, step))
+        batch = draw_batch(self.data, self.split.train, self.sizes, rng)
+        terms = self.model.loss(batch, self.terms, rng)
+        loss = torch.stack([term_weight(config, name, step) * term for name, term in terms.items()]).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        if not bool(torch.isfinite(norm)):
+            raise ConfigError(f"training diverged at step {step}; lower 'learning_rate' ({config.learning_rate:g})")
+        self.optimizer.step()
+        return {name: term.item() for name, term in {"loss": loss, **terms}.items()}
+
+    def validate(self) -> dict[str, float]:
+        """Figures on held-out scenes, and on held-out hands under names that begin with `hands_`."""
+        figures = validate(self.model, self.data, self.split.scenes, self.config)
+        some = dict(list(self.split.hands.items())[:VALIDATION_SCENES])
+        new = validate(self.model, self.data, some, self.config)
+        return {**figures, **{f"hands_{name}": value for name, value in new.items()}}
+
+
+def _take_steps(run: _Run, begun: Progress, interrupted: threading.Event, bar: tqdm) -> tuple[str, Progress]:
+    """Takes the steps of a run from where it stands to its end; returns why it stopped, and where."""
+    config, start = run.config, time.monotonic()
+    step, figures, saved = begun.step, begun.validation, -1
+    sums: dict[str, list[float]] = {}
+
+    def now() -> Progress:
+        return Progress(step, begun.seconds + time.monotonic() - start, figures)
+
+    def validated() -> Mapping[str, float]:
+        found = run.validate()
+        if found:
+            write_log(run.out, {"step": step, "validation": finite(found)})
+        return found
+
+    stopped = "finished"
+    while step < config.steps:
+        share = step / config.steps
+        if config.minutes is not None:
+            share = max(share, now().seconds / (60.0 * config.minutes))
+        if share >= 1.0 or interrupted.is_set():
+            stopped = "interrupted" if interrupted.is_set() else "time"
+            break
+        for name, value in run.step(step, share).items():
+            sums.setdefault(name, []).append(value)
+        step += 1
+        bar.update()
+        if step % config.log_every == 0 or step == config.steps:
+            means = {name: float(np.mean(values)) for name, values in sums.items()}
+            write_log(run.out, {"step": step, "seconds": round(now().seconds, 3), **means})
+            bar.set_postfix(loss=f"{means['loss']:.4f}", refresh=False)
+            sums = {}
+        if step % config.validate_every == 0 or step == config.steps:
+            figures = validated()
+        if step % config.save_every == 0:
+            run.save(now())
+            saved = step
+    if stopped == "time":
+        figures = validated()
+    if saved != step or stopped == "time":
+        run.save(now())
+    return stopped, now()
+
+
+def term_weight(config: TrainConfig, name: str, step: int) -> float:
+    """Weight of a term of the loss at a step: it rises over the term's warm-up, where it has one."""
+    return config.weights[name] * min(1.0, (step + 1) / max(config.warm_ups.get(name, 0), 1))
+
+
+def learning_rate(config: TrainConfig, step: int, share: float) -> float:
+    """Learning rate of a step: it rises over the warm-up and falls along a cosine to a hundredth.
+
+    Args:
+        config: How to train.
+        step: Number of the step.
+        share: How much of the run is done, from 0 to 1.
+
+    Returns:
+        The learning rate.
+    """
+    rise = min(1.0, (step + 1) / max(config.warm_up, 1))
+    return config.learning_rate * rise * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
+
+
+@torch.no_grad()
+def validate(model: Model, data: Data, held: dict[int, np.ndarray], config: TrainConfig) -> dict[str, float]:
+    """Figures on held-out grasps, the same draw at every call.
+
+    Args:
+        model: The model.
+        data: The data.
+        held: The grasps by their scenes.
+        config: How to train.
+
+    Returns:
+        The terms of the loss; and for everything that the model reconstructs grasps from (`posterior`, `prior`, ...)
+        the mean error of link origins, as `posterior_mm`, and of fingertips, as `posterior_tip_mm`, of the best try;
+        nan without any. Empty where there is nothing to validate.
+    """
+    rng = np.random.default_rng(config.seed)
+    rows: list[dict[str, float]] = []
+    model.eval()
+    for scene, here in held.items():
+        grasps = draw_couples(data, here, max(1, min(VALIDATION_GRASPS, len(here)) // 2), rng)
+        batch = make_batch(data, {scene: here}, grasps, np.zeros(1), batch_sizes(config), rng)
+        terms = [name for name, weight in config.weights.items() if weight > 0.0]
+        row = {name: float(value) for name, value in model.loss(batch, terms, rng).items()}
+        for name, tries in model.reconstruct(batch, rng).items():
+            origins, tips = pose_errors(tries, batch)
+            row[f"{name}_mm"], row[f"{name}_tip_mm"] = float(origins.nanmean()), float(tips.nanmean())
+        rows.append(row)
+    model.train()
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
+    return {name: float(np.nanmean(v)) if np.isfinite(v).any() else math.nan for name, v in table.items()}
+
+
+def pose_errors(tries: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Errors of predicted link poses, the best try of each grasp.
+
+    Args:
+        tries: Predicted poses, shape (T, B, L, 9).
+        batch: The true grasps.
+
+    Returns:
+        Mean error of the link origins, and of the fingertips (nan for a hand without fingers) [mm], shape (B,) each.
+    """
+    mask, unit = batch.mask, 1000.0 * LENGTH_UNIT
+    link, offset, has = (entry[batch.hand] for entry in batch.keypoints)
+    true = keypoints(batch.poses, link, offset)
+    finger = has & (link > 0)  # the wrist is the base's only keypoint
+    origins, tips = [], []
+    for poses in tries:
+        apart = (poses - batch.poses)[..., :3].norm(dim=-1).masked_fill(~mask, 0.0)
+        origins.append(unit * apart.sum(dim=1) / mask.sum(dim=1))
+        off = (keypoints(poses, link, offset) - true).norm(dim=-1).masked_fill(~finger, 0.0)
+        tips.append(unit * off.sum(dim=1) / finger.sum(dim=1))
+    return torch.stack(origins).amin(dim=0), torch.stack(tips).amin(dim=0)
+
+
+def split_grasps(pack: Pack, config: TrainConfig) -> Split:
+    """Which grasps train and which validate.
+
+    Scenes and hands that the pack holds out are held out; where it names no scene, a fraction of those with grasps is
+    drawn, from five scenes on at least one.
+
+    Args:
+        pack: The pack.
+        config: How to train.
+
+    Returns:
+        The split.
+
+    Raises:
+        ConfigError: Nothing would be left to train on.
+    """
+    lifted = pack.outcome == LIFTED
+    new_hand = pack.held_hands[pack.hand] > 0
+    held = np.flatnonzero(pack.held_scenes)
+    if len(held) == 0:
+        scenes = np.unique(pack.scene[lifted & ~new_hand])
+        count = round(config.validation_fraction * len(scenes))
+        if config.validation_fraction > 0.0 and len(scenes) >= 5:
+            count = max(count, 1)
+        held = np.sort(np.random.default_rng(config.seed).permutation(scenes)[:count])
+    new_scene = np.isin(pack.scene, held)
+    parts = [
+        grasps_of_scenes(pack.scene, np.flatnonzero(lifted & chosen))
+        for chosen in (~new_hand & ~new_scene, ~new_hand & new_scene, new_hand)
+    ]
+    split = Split(*parts)
+    if not split.train:
+        raise ConfigError("no grasp is left to train on; lower 'validation_fraction', or add scenes and hands")
+    return split
 
 
 def batch_sizes(config: TrainConfig) -> BatchSizes:
@@ -392,20 +440,13 @@ def batch_sizes(config: TrainConfig) -> BatchSizes:
     Returns:
         The sizes.
     """
-    return BatchSizes(config.batch, config.scenes_per_batch, config.points, config.jitter, config.model.latent)
+    return BatchSizes(config.batch, config.scenes_per_batch, config.points, config.jitter)
 
 
-def _check(config: TrainConfig) -> None:
-    if config.batch % 2 or not 1 <= config.scenes_per_batch <= config.batch // 2:
-        raise ConfigError(
-            f"'batch' ({config.batch}) must be even and hold two grasps of each of 'scenes_per_batch' "
-            f"({config.scenes_per_batch}) scenes"
-        )
-    for name in ("steps", "points", "log_every", "validate_every", "save_every"):
-        if getattr(config, name) < 1:
-            raise ConfigError(f"'{name}' ({getattr(config, name)}) must be at least 1")
-    if config.model.width % config.model.heads:
-        raise ConfigError(f"'model.width' ({config.model.width}) must be a multiple of 'model.heads'")
+def _seeded_model(config: TrainConfig) -> Model:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        return make_model(config.kind, config.model)
 
 
 def _device(name: str) -> torch.device:
@@ -420,51 +461,18 @@ def _device(name: str) -> torch.device:
     return device
 
 
-def _identity(config: TrainConfig, data: Data, held: np.ndarray) -> dict[str, Any]:
+def _identity(config: TrainConfig, pack: Pack, split: Split) -> dict[str, dict[str, Any]]:
     """What must not change between a run and its resumption; the lengths of the run and its log may."""
     free = ("steps", "minutes", "log_every", "validate_every", "save_every", "device")
     settings = {name: value for name, value in asdict(config).items() if name not in free}
-    settings["model"]["object_channels"] = list(config.model.object_channels)
-    sizes = {"grasps": len(data.hand), "scenes": len(data.clouds), "links": data.hands.mask.sum(dim=1).tolist()}
-    total = float(data.vectors.double().sum())
-    return {"config": settings, "data": {**sizes, "held": held.tolist(), "sum": round(total, 3)}}
-
-
-def _save_state(
-    file: Path, model: CVAE, optimizer: torch.optim.Optimizer, identity: dict, step: int, seconds: float
-) -> None:
-    stream = io.BytesIO()
-    state = {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
-    torch.save({**state, "identity": json.dumps(identity), "step": step, "seconds": seconds}, stream)
-    with whole_file(file) as unfinished:
-        unfinished.write_bytes(stream.getvalue())
-
-
-def _load_state(file: Path, model: CVAE, optimizer: torch.optim.Optimizer, identity: dict) -> tuple[int, float]:
-    try:
-        state = torch.load(file, map_location="cpu", weights_only=True)
-        found = json.loads(state["identity"])
-    except Exception as error:  # torch's reader lets through whatever it stumbles over, struct.error among others
-        raise CheckpointError(f"{file}: damaged training state; delete it to start again") from error
-    for part in ("config", "data"):
-        for name, value in identity[part].items():
-            if found.get(part, {}).get(name) != value:
-                raise ConfigError(
-                    f"{file}: was written with another {part} ('{name}'); use another folder, or do not resume"
-                )
-    model.load_state_dict(state["model"])
-    optimizer.load_state_dict(state["optimizer"])
-    return int(state["step"]), float(state["seconds"])
-
-
-def _log(out: Path, line: dict[str, Any]) -> None:
-    with (out / LOG_NAME).open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(line) + "\n")
-
-
-def _finite(figures: dict[str, float]) -> dict[str, float | None]:
-    """JSON has no nan."""
-    return {name: round(value, 6) if math.isfinite(value) else None for name, value in figures.items()}
+    data = {
+        "hands": list(pack.hand_names),
+        "scenes": list(pack.scene_names),
+        "grasps": len(pack.hand),
+        "held": [sorted(split.scenes), int(pack.held_hands.sum())],
+        "sum": round(float(pack.vectors.sum(dtype=np.float64)), 3),
+    }
+    return {"config": settings, "data": data}
 
 
 @contextmanager
@@ -485,3 +493,34 @@ def _interruptible() -> Iterator[threading.Event]:
         yield event
     finally:
         signal.signal(signal.SIGINT, previous)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command of this module.
+
+    Args:
+        argv: Its arguments; those of the process where None.
+
+    Returns:
+        Exit status: 0 done, 2 bad input, 130 interrupted.
+    """
+    parser = argparse.ArgumentParser(prog="python -m xdex_drake.learning.training", description="Train a model.")
+    parser.add_argument("config", nargs="?", type=Path, help="a YAML file; without it all defaults hold")
+    parser.add_argument("--pack", type=Path, required=True, help="a training pack")
+    parser.add_argument("--out", type=Path, default=Path("model"), help="folder of the model, its log and its state")
+    parser.add_argument("--steps", type=int, help="another number of steps")
+    parser.add_argument("--minutes", type=float, help="another limit of time")
+    arguments = parser.parse_args(argv)
+    try:
+        config = read_train_config(arguments.config, steps=arguments.steps, minutes=arguments.minutes)
+        report = train(config, read_pack(arguments.pack), arguments.out)
+    except (XdexError, OSError) as error:
+        print("training: " + " ".join(str(error).split()), file=sys.stderr)
+        return 2
+    for name, value in report.lines():
+        print(f"{name}  {value}")
+    return 130 if report.stopped == "interrupted" else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -10,9 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from xdex_drake.learning.models.sparse_conv import SubmanifoldConv, VoxelGrid, coarsen, mean_by_index, voxelize
-
-LENGTH_UNIT = 0.1
-"""Metres that make one unit inside the networks."""
+from xdex_drake.learning.protocol import LENGTH_UNIT
 
 
 def mlp(*widths: int) -> nn.Sequential:
