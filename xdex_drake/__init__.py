@@ -19,14 +19,16 @@ if TYPE_CHECKING:
     from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
     from xdex_drake.hand.batched_kinematics import BatchedHand, PaddedHands
     from xdex_drake.hand.checks import check_hand
-    from xdex_drake.hand.description import Capsule, Hand
+    from xdex_drake.hand.description import Hand
     from xdex_drake.hand.export import export_urdf
+    from xdex_drake.hand.fingertip import replace_tip
     from xdex_drake.hand.generation import generated_hand
     from xdex_drake.hand.human import human_hand, sample_shape
     from xdex_drake.hand.importing.files import hand_from_plant, import_hand
     from xdex_drake.hand.kinematics import Configuration
     from xdex_drake.hand.library import list_hands, load_hand
-    from xdex_drake.hand.mirror import mirror, replace_tip
+    from xdex_drake.hand.mirror import mirror
+    from xdex_drake.hand.shapes import Capsule
     from xdex_drake.hand.variation import apply_operations, remove_finger, scale_hand
     from xdex_drake.programs.force_closure import force_closure_program, polish_program
     from xdex_drake.programs.link_pose_ik import link_pose_ik, link_pose_ik_program
@@ -63,14 +65,16 @@ _MODULES = {
     "grasp": ("Certificate", "Contact", "Grasp", "Lift"),
     "hand.batched_kinematics": ("BatchedHand", "PaddedHands"),
     "hand.checks": ("check_hand",),
-    "hand.description": ("Capsule", "Hand"),
+    "hand.description": ("Hand",),
     "hand.export": ("export_urdf",),
+    "hand.fingertip": ("replace_tip",),
     "hand.generation": ("generated_hand",),
     "hand.human": ("human_hand", "sample_shape"),
     "hand.importing.files": ("hand_from_plant", "import_hand"),
     "hand.kinematics": ("Configuration",),
     "hand.library": ("list_hands", "load_hand"),
-    "hand.mirror": ("mirror", "replace_tip"),
+    "hand.mirror": ("mirror",),
+    "hand.shapes": ("Capsule",),
     "hand.variation": ("apply_operations", "remove_finger", "scale_hand"),
     "programs.force_closure": ("force_closure_program", "polish_program"),
     "programs.link_pose_ik": ("link_pose_ik", "link_pose_ik_program"),
