@@ -27,6 +27,7 @@ from .hand.batched_kinematics import PaddedHands as PaddedHands
 from .hand.checks import check_hand as check_hand
 from .hand.description import Capsule as Capsule
 from .hand.description import Hand as Hand
+from .hand.fingertip import replace_tip as replace_tip
 from .hand.generation import generated_hand as generated_hand
 from .hand.human import human_hand as human_hand
 from .hand.human import sample_shape as sample_shape
@@ -36,8 +37,7 @@ from .hand.kinematics import Configuration as Configuration
 from .hand.library import list_hands as list_hands
 from .hand.library import load_hand as load_hand
 from .hand.mirror import mirror as mirror
-from .hand.mirror import replace_tip as replace_tip
-from .hand.variation import (
+from .hand.mirror import mirror as mirrorfrom .hand.variation import (
     apply_operations as apply_operations,
 )
 from .hand.variation import (

@@ -9,9 +9,10 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Capsule
+from xdex_drake.hand.fingertip import replace_tip
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
-from xdex_drake.hand.mirror import mirror, replace_tip
+from xdex_drake.hand.mirror import mirror
 from xdex_drake.hand.yaml_file import hand_digest, read_hand, write_hand
 
 FLIP = np.diag([1.0, -1.0, 1.0])

@@ -16,10 +16,10 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Convex, Hand
+from xdex_drake.hand.fingertip import replace_tip
 from xdex_drake.hand.importing.urdf import read_urdf
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
-from xdex_drake.hand.mirror import replace_tip
 from xdex_drake.interchange.urdf import export_urdf, rpy_of
 
 HANDS = ["allegro", "ability", "inspire", "shadow", "schunk_svh"]

@@ -130,21 +130,33 @@ def _rotation_and_origin(member: Member) -> tuple[Array, Array]:
     return member.X_LF[:3, :3], member.X_LF[:3, 3]
 
 
-def _primitives(shape: FileGeometry, name: str, decisions: Decisions) -> list[Geometry]:
+def _primitives(shape: FileGeometry, name: str, decisions: Decisions) -> tuple[Geometry, ...]:
     if isinstance(shape, Cylinder):
-        return [_from_cylinder(shape)]
-    if not isinstance(shape, TriangleMesh):
-        return [shape]
-    if len(shape.faces) == 0 or not np.isfinite(shape.vertices).all():
-        text = f"the mesh {shape.source or 'of it'} has no usable triangle and is left out."
+        return (_from_cylinder(shape),)
+    if isinstance(shape, TriangleMesh):
+        return mesh_shapes(shape, name, decisions)
+    return (shape,)
+
+
+def mesh_shapes(mesh: TriangleMesh, name: str, decisions: Decisions) -> tuple[Geometry, ...]:
+    """Convex parts of a mesh.
+
+    Args:
+        mesh: The mesh, in L.
+        name: Name of its body, for messages.
+        decisions: Grows by what was decided.
+
+    Returns:
+        The parts, in L; none where the mesh has no usable triangle.
+    """
+    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+        text = f"the mesh {mesh.source or 'of it'} has no usable triangle and is left out."
         decisions.append(Decision("warning", f"link {name}", text))
-        return []
-    origin = shape.vertices.mean(axis=0)
+        return ()
+    origin = mesh.vertices.mean(axis=0)
     # Links that use one mesh share its parts: the same vertices in another frame differ in their last digits.
-    parts = _mesh_parts(
-        np.round(shape.vertices - origin, 9).tobytes(), np.asarray(shape.faces, dtype=np.int64).tobytes()
-    )
-    return [Convex(part + origin) for part in parts]
+    parts = _mesh_parts(np.round(mesh.vertices - origin, 9).tobytes(), np.asarray(mesh.faces, dtype=np.int64).tobytes())
+    return tuple(Convex(part + origin) for part in parts)
 
 
 def _from_cylinder(cylinder: Cylinder) -> Geometry:
