@@ -37,7 +37,7 @@ from .hand.kinematics import Configuration as Configuration
 from .hand.library import list_hands as list_hands
 from .hand.library import load_hand as load_hand
 from .hand.mirror import mirror as mirror
-from .hand.mirror import mirror as mirrorfrom .hand.variation import (
+from .hand.variation import (
     apply_operations as apply_operations,
 )
 from .hand.variation import (

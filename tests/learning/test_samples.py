@@ -99,7 +99,7 @@ def test_rows_become_grasps(hands, packed):
     # The cloud is centered at the center of mass.
     np.testing.assert_allclose(pack.centers[0], X_WO.multiply(FACTS.p_OOcm), atol=1e-7)
     np.testing.assert_allclose(np.linalg.norm(pack.clouds[0].astype(float), axis=1), 0.03, atol=2e-5)
-    np.testing.assert_allclose(pack.cloud_normals[0], n_OPs @ X_WO.rotation().matrix().T, atol=1e-3)
+    np.testing.assert_allclose(pack.cloud_normals[0] / 127, n_OPs @ X_WO.rotation().matrix().T, atol=4e-3)
 
 
 def test_a_pack_keeps_what_hands_are(hands, packed):
@@ -108,7 +108,7 @@ def test_a_pack_keeps_what_hands_are(hands, packed):
         features = hand_features(hands[name])
         rows = slice(pack.first_links[h], pack.first_links[h] + pack.links[h])
         np.testing.assert_allclose(pack.link_points[rows], features.link_points, atol=1e-4)
-        np.testing.assert_allclose(pack.link_normals[rows], features.link_normals, atol=1e-3)
+        np.testing.assert_allclose(pack.link_normals[rows] / 127, features.link_normals, atol=4e-3)
         np.testing.assert_allclose(pack.link_origins[rows], features.p_HLs_zero, atol=1e-7)
         begin = int((pack.links[:h] ** 2).sum())
         assert np.array_equal(pack.spd[begin : begin + pack.links[h] ** 2], features.spd.ravel())

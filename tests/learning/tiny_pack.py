@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 
-from xdex_drake.learning.pack import Pack, write_pack
+from xdex_drake.learning.pack import NORMAL, Pack, write_pack
 
 FINGERS = ("thumb", "index", "middle")
 LENGTH = 0.04
@@ -79,13 +79,13 @@ def tiny_pack(scenes=6, grasps=8, seed=0, shapes=((3, 2), (2, 2))):
         reasons=("", "slipped"),
         links=links.astype(np.int32),
         link_points=(origins[:, None] + 0.01 * directions).astype(np.float16),
-        link_normals=directions.astype(np.float16),
+        link_normals=np.rint(NORMAL * directions).astype(np.int8),
         link_origins=origins.astype(np.float32),
         spd=np.concatenate([distances(*shape).ravel() for shape in shapes]).astype(np.uint8),
         keypoint_links=keypoint_links.astype(np.int16),
         keypoint_offsets=offsets.astype(np.float32),
         clouds=clouds.astype(np.float16),
-        cloud_normals=normals.astype(np.float16),
+        cloud_normals=np.rint(NORMAL * normals).astype(np.int8),
         centers=np.pad(axes[:, :, 2], ((0, 0), (2, 0))).astype(np.float32),
         hand=np.repeat(np.arange(len(shapes)), per_hand).astype(np.int32),
         scene=scene.astype(np.int32),

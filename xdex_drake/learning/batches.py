@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from xdex_drake.learning.pack import Pack
+from xdex_drake.learning.pack import NORMAL, Pack
 from xdex_drake.learning.protocol import LENGTH_UNIT, Batch, Clouds, HandBatch, Keypoints, normalize_poses
 
 
@@ -119,7 +119,7 @@ def hand_batch(data: Data, hands: Tensor) -> HandBatch:
     spd = data.first_spd[hands][:, None, None] + inside[:, :, None] * links[:, :, None] + inside[:, None, :]
     return HandBatch(
         points=data.link_points[row].float(),
-        normals=data.link_normals[row].float(),
+        normals=data.link_normals[row].float() / NORMAL,
         origins=data.link_origins[row],
         spd=data.spd[spd].long(),
         mask=link < links,
@@ -276,7 +276,7 @@ def draw_clouds(data: Data, scenes: list[int], R: Tensor, sizes: BatchSizes, rng
         kept = torch.tensor(rng.choice(available, sizes.points, replace=available < sizes.points), device=R.device)
         noise = torch.tensor(sizes.jitter * rng.standard_normal((sizes.points, 3)), dtype=R.dtype, device=R.device)
         points.append((data.clouds.points[scene, kept].float() + noise) @ R[k].T)
-        normals.append(data.clouds.normals[scene, kept].float() @ R[k].T)
+        normals.append(data.clouds.normals[scene, kept].float() / NORMAL @ R[k].T)
     return Clouds(torch.stack(points), torch.stack(normals), data.clouds.tables[scenes])
 
 

@@ -3,7 +3,8 @@
 Plain arrays; NumPy and safetensors suffice to read them.
 
 Everything of one kind lies in one array, one after the other: the links of all hands, the grasps hand by hand, the link
-pose vectors grasp by grasp. Real numbers that the networks see are in 16 bits, which errs by at most 0.12 mm at 0.5 m.
+pose vectors grasp by grasp. Lengths that the networks see are in 16 bits, which errs by at most 0.12 mm at 0.5 m, and
+normals in 8, by 0.3 degrees.
 Grasps are relative to their object points, object points and clouds to the center of their object, axes of W (z up).
 """
 
@@ -22,6 +23,8 @@ FEATURE_SCHEMA = 1
 """Version of what the arrays mean that a model sees; a checkpoint or a pack of another version is refused."""
 PACK_SCHEMA = 1
 """Version of the file's arrays."""
+NORMAL = 127
+"""Length of a unit normal in a pack."""
 LIFTED = 0
 """Outcome of a grasp that lifted."""
 
@@ -94,14 +97,15 @@ class Pack:
         reasons: What the numbers of `outcome` mean: the first is empty (it lifted), the others say why it did not.
         links: Number of links of each hand, shape (H,), int32.
         link_points: Points on the links, in H at the zero configuration [m], shape (L, N, 3), float16.
-        link_normals: Unit normals out of the links there, zero for a link without geometry, shape (L, N, 3), float16.
+        link_normals: Normals out of the links there, of length 127, zero for a link without geometry, shape (L, N, 3),
+            int8.
         link_origins: Origins of the links in H at the zero configuration [m], shape (L, 3), float32.
         spd: Number of joints between two links of a hand, hand by hand, shape (sum of links^2,), uint8.
         keypoint_links: Index of each keypoint's link in its hand, -1 where the hand has none, shape (H, K), int16.
         keypoint_offsets: From the link's origin to the keypoint at the zero configuration, axes of H [m], shape
             (H, K, 3), float32.
         clouds: Points on the objects' surfaces [m], shape (S, P, 3), float16.
-        cloud_normals: Unit normals out of the objects there, zero where unknown, shape (S, P, 3), float16.
+        cloud_normals: Normals out of the objects there, of length 127, zero where unknown, shape (S, P, 3), int8.
         centers: Centers of the objects in W, the table at z = 0 [m], shape (S, 3), float32.
         hand: Hand of each grasp, ascending, shape (M,), int32.
         scene: Scene of each grasp, shape (M,), int32.
@@ -153,8 +157,8 @@ class Pack:
 
 _NAMES = ("hand_names", "keypoint_names", "scene_names", "reasons")
 _TYPES = {
-    "links": "I32", "link_points": "F16", "link_normals": "F16", "link_origins": "F32", "spd": "U8",
-    "keypoint_links": "I16", "keypoint_offsets": "F32", "clouds": "F16", "cloud_normals": "F16", "centers": "F32",
+    "links": "I32", "link_points": "F16", "link_normals": "I8", "link_origins": "F32", "spd": "U8",
+    "keypoint_links": "I16", "keypoint_offsets": "F32", "clouds": "F16", "cloud_normals": "I8", "centers": "F32",
     "hand": "I32", "scene": "I32", "pair": "I32", "outcome": "I16", "points": "F32", "vectors": "F16",
     "held_scenes": "U8", "held_hands": "U8",
 }  # fmt: skip

@@ -21,7 +21,7 @@ from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.link_pose import link_pose_vectors
 from xdex_drake.learning.features import hand_features, object_features, object_point
-from xdex_drake.learning.pack import HandFeatures, ObjectFeatures, Pack, check_pack
+from xdex_drake.learning.pack import NORMAL, HandFeatures, ObjectFeatures, Pack, check_pack
 from xdex_drake.scene.object import ObjectModel, load_object
 
 CLOUD = 2048
@@ -186,13 +186,13 @@ def make_pack(
         reasons=tuple(reasons),
         links=np.array([len(hand.link_names) for hand in hands], dtype=np.int32),
         link_points=joined([hand.link_points for hand in hands], np.float16),
-        link_normals=joined([hand.link_normals for hand in hands], np.float16),
+        link_normals=joined([np.rint(NORMAL * hand.link_normals) for hand in hands], np.int8),
         link_origins=joined([hand.p_HLs_zero for hand in hands], np.float32),
         spd=joined([hand.spd.ravel() for hand in hands], np.uint8),
         keypoint_links=links.astype(np.int16),
         keypoint_offsets=offsets.astype(np.float32),
         clouds=joined([scene.points[None] for scene in scenes], np.float16),
-        cloud_normals=joined([scene.normals[None] for scene in scenes], np.float16),
+        cloud_normals=joined([np.rint(NORMAL * scene.normals[None]) for scene in scenes], np.int8),
         centers=centers.astype(np.float32),
         hand=np.repeat(np.arange(len(hands), dtype=np.int32), [len(part.scene) for part in grasps]),
         scene=scene.astype(np.int32),
