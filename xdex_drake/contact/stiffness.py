@@ -20,8 +20,8 @@ C_s being the compliance of the contacts themselves. Four terms make its Hessian
   touched at first so move apart by -1/2 phi x S phi, which adds -[f]x S to the rotations phi. A normal force f_n on a
   ball of radius rho adds rho f_n to both rolling directions: blunt tips are stabler than sharp ones (Howard and Kumar,
   1996). A tangential force adds -rho n f_t', which is not symmetric: rolling and then spinning about the normal does
-  not lead where spinning and then rolling does. Of this part, which is no energy, the symmetric half is taken: it is the
-  work along a straight twist.
+  not lead where spinning and then rolling does. Of this part, which is no energy, the symmetric half is taken: the work
+  along a straight twist.
 
 Eliminating the joints from H leaves the object's stiffness K_x = G K_c G' + K_geo, and a small wrench w on the object
 changes the forces by the linear law df = C_s^-1 (J dq - G' x) with H z = (0, w); without rolling links that is
@@ -63,8 +63,8 @@ FLATTEST = 0.02
 class GraspStiffness:
     """The Hessian of the module's docstring as a linear function of the contact forces.
 
-    Forces f are stacked in the contact frames, shape (3 nc,). Joints that move no contact are left out: m of the n
-    actuated ones remain.
+    Forces f are stacked in the contact frames, shape (3 nc,). Joints that move no contact, and
+    joints that press on a stop, are left out: m of the n actuated ones remain.
 
     Attributes:
         G: Grasp matrix in W about the center of mass, torque first, shape (6, 3 nc).
@@ -163,6 +163,7 @@ def grasp_stiffness(
     kp: float,
     tip_curvatures: Array,
     object_curvatures: Array | None = None,
+    locked: NDArray[np.int64] | None = None,
     compliance: tuple[float, float] = (NORMAL_COMPLIANCE, TANGENTIAL_COMPLIANCE),
 ) -> GraspStiffness:
     """The stiffness of a grasp, as a function of its forces.
@@ -177,6 +178,7 @@ def grasp_stiffness(
         tip_curvatures: Curvature of the link at each contact, a symmetric matrix in W on the tangent plane, positive
             where it is convex [1/m], shape (nc, 3, 3); see `tip_curvatures`.
         object_curvatures: The same of the object; flat where None, as the faces of its parts are.
+        locked: Actuated joints that press on a stop and do not give way, by index; none where None. See `stops`.
         compliance: Compliance of each contact along its normal and its tangents [m/N].
 
     Returns:
@@ -184,7 +186,10 @@ def grasp_stiffness(
     """
     nc = len(links)
     J_W = k.jacobian(links, p_WCs)[:, :, 6:]
-    joints = np.flatnonzero(np.abs(J_W).max(axis=(0, 1), initial=0.0) > 1e-12)
+    free = np.abs(J_W).max(axis=(0, 1), initial=0.0) > 1e-12
+    if locked is not None:
+        free[locked] = False
+    joints = np.flatnonzero(free)
     m = len(joints)
     J = np.einsum("cba,cbj->caj", R_WCs, J_W[:, :, joints]).reshape(3 * nc, m)
     slopes_W = k.jacobian_slopes(links, p_WCs)[:, :, joints[:, None], joints]
@@ -228,6 +233,21 @@ def _wander(curvatures: Array, n_WCs: Array) -> Array:
     radii = 1.0 / np.maximum(values, 1.0 / FLATTEST)
     radii[:, 2] = 0.0  # along the normal nothing wanders
     return (vectors * radii[:, None, :]) @ np.swapaxes(vectors, 1, 2) @ cross_matrices(n_WCs)
+
+
+def stops(hand: Hand, q: Array, tolerance: float = 2e-3) -> NDArray[np.int64]:
+    """Which actuated joints stand at a limit.
+
+    Args:
+        hand: The hand.
+        q: Actuated joint values [rad or m], shape (n,).
+        tolerance: Distance from the limit that still counts as there [rad or m].
+
+    Returns:
+        1 at the upper limit, -1 at the lower one, else 0, shape (n,).
+    """
+    low, high = hand.limits
+    return np.where(q > high - tolerance, 1, 0) - np.where(q < low + tolerance, 1, 0)
 
 
 def tip_curvatures(hand: Hand, k: Configuration, links: NDArray[np.int64], p_WCs: Array, n_WCs: Array) -> Array:
