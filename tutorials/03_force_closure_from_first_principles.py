@@ -18,20 +18,24 @@
 import cvxpy as cp
 import matplotlib.pyplot as plt
 import numpy as np
+from pydrake.solvers import ClarabelSolver
 from scipy.spatial import ConvexHull
 
 from xdex_drake.contact import (
+    GraspMap,
     balance,
+    balance_linearized,
+    balance_program,
     ball_margin,
     contact_frames,
     epsilon_linearized,
     grasp_matrix,
     gravity_wrench,
     in_cone,
+    push_wrenches,
     support,
     task_margin,
 )
-from xdex_drake.contact.wrench import push_wrenches
 
 MASS, MU, RADIUS = 0.1, 0.6, 0.035
 
@@ -67,7 +71,8 @@ print(np.round(G, 3))
 #
 #     minimise 1/2 |f|^2   subject to   G f + F_g = 0,   f in the cones
 #
-# Written in cvxpy, it reads like the formula; `balance` is the library's own, by Clarabel, and much faster.
+# Written in cvxpy, it reads like the formula; `balance` is the library's own, by Clarabel, and much faster. It takes a
+# `GraspMap`: the grasp matrix, the friction, and a length of the object that makes torques comparable with forces.
 
 # %%
 F_g = gravity_wrench(MASS)
@@ -75,7 +80,8 @@ f = cp.Variable(9)
 cones = [cp.SOC(MU * f[3 * i + 2], f[3 * i : 3 * i + 2]) for i in range(3)]
 cp.Problem(cp.Minimize(0.5 * cp.sum_squares(f)), [G @ f + F_g == 0, *cones]).solve(solver="CLARABEL")
 assert f.value is not None
-ours = balance(G, MU, F_g, length=RADIUS)
+three = GraspMap(G, MU, RADIUS)
+ours = balance(three, F_g)
 print("cvxpy:", np.round(f.value.reshape(3, 3), 4).tolist())
 print("ours: ", np.round(ours.f.reshape(3, 3), 4).tolist(), f"in {1e3 * ours.seconds:.1f} ms")
 assert np.allclose(f.value, ours.f, atol=1e-5)
@@ -85,6 +91,21 @@ assert np.allclose(f.value, ours.f, atol=1e-5)
 # forces lie on the boundary of their cones, so the slightest push breaks this balance. Squeezing harder costs force but
 # leaves a margin.
 #
+# The same program is at hand as a `MathematicalProgram`, to read and to change. Here the first contact shall press with
+# 1 N at least, and the others have to answer. With pyramids of eight edges for cones it is a quadratic program; they
+# lie inside the cones, so forces grow a little.
+
+# %%
+program = balance_program(three, F_g)
+program.AddBoundingBoxConstraint(1.0, np.inf, program.decision_variables()[2])
+pressed = ClarabelSolver().Solve(program)
+pyramids = balance_linearized(three, F_g, edges=8)
+print("normal forces:           ", np.round(ours.f[2::3], 3))
+print("the first presses harder:", np.round(pressed.GetSolution(program.decision_variables())[2::3], 3))
+print("with pyramids:           ", np.round(pyramids.f[2::3], 3))
+assert pressed.is_success() and np.linalg.norm(ours.f) <= np.linalg.norm(pyramids.f)
+
+# %% [markdown]
 # ## Margins
 #
 # The *task margin* is the greatest s such that gravity plus s times each push of m g can still be held. Nothing bounds
@@ -93,12 +114,11 @@ assert np.allclose(f.value, ours.f, atol=1e-5)
 
 # %%
 pushes = push_wrenches(MASS)
-print("task margin of three contacts:", task_margin(G, MU, F_g, pushes, length=RADIUS).margin)
-two = [0.0, np.pi]
-p2 = RADIUS * np.column_stack([np.cos(two), np.sin(two), np.zeros(2)])
-G2 = grasp_matrix(p2, contact_frames(-p2 / RADIUS), np.zeros(3))
+print("task margin of three contacts:", task_margin(three, F_g, pushes).margin)
+p2 = RADIUS * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+two = GraspMap(grasp_matrix(p2, contact_frames(-p2 / RADIUS), np.zeros(3)), MU, RADIUS)
 spin = np.array([[0.1 * MASS * 9.81 * RADIUS, 0, 0, 0, 0, 0]])
-print("task margin of a pinch against a spin about its axis:", task_margin(G2, MU, F_g, spin, length=RADIUS).margin)
+print("task margin of a pinch against a spin about its axis:", task_margin(two, F_g, spin).margin)
 
 # %% [markdown]
 # The *ball margin* asks for all wrenches at once. With forces whose normal parts sum to one, the wrenches that can be
@@ -110,10 +130,9 @@ print("task margin of a pinch against a spin about its axis:", task_margin(G2, M
 # which is closed-form; so directions bound the margin from above, and forces that are known bound it from below.
 
 # %%
-scaled = G / np.array([RADIUS] * 3 + [1.0] * 3)[:, None]
 u = np.random.default_rng(0).normal(size=(20_000, 6))
-reach, _ = support(scaled, MU, u / np.linalg.norm(u, axis=1, keepdims=True))
-ball, pinch = ball_margin(G, MU, length=RADIUS), ball_margin(G2, MU, length=RADIUS)
+reach, _ = support(three, u / np.linalg.norm(u, axis=1, keepdims=True))
+ball, pinch = ball_margin(three), ball_margin(two)
 print(f"margin of three contacts: {ball.lower:.4f} to {ball.upper:.4f}; least of 20 000 directions: {reach.min():.4f}")
 print(f"margin of a pinch: {pinch.lower:.4f} to {pinch.upper:.4f}")
 assert ball.upper <= reach.min() + 1e-9 and pinch.upper < 1e-6
@@ -138,7 +157,7 @@ directions = np.stack([np.cos(rays) * np.sin(tilts), np.sin(rays) * np.sin(tilts
 def force_slice(mu: float) -> tuple[np.ndarray, float]:
     """Pure forces on the boundary of W in all directions, and the distance from 0 to the nearest facet."""
     cone = np.stack([mu * np.cos(edges), mu * np.sin(edges), np.ones_like(edges)])  # (3, edges)
-    wrenches = np.concatenate([(scaled[:, 3 * i : 3 * i + 3] @ cone).T for i in range(3)])
+    wrenches = np.concatenate([(three.scaled[:, 3 * i : 3 * i + 3] @ cone).T for i in range(3)])
     hull = ConvexHull(np.vstack([wrenches, np.zeros(6)]))
     normals, offsets = hull.equations[:, :6], -hull.equations[:, 6]
     speed = directions.reshape(-1, 3) @ normals[:, 3:].T  # no torque: only the force part of a facet's normal counts
@@ -161,9 +180,7 @@ for k, mu in enumerate((0.2, MU)):
 figure.tight_layout()
 figure.savefig("wrench_hull.png", dpi=110)
 print("written to wrench_hull.png;", {mu: f"quality {epsilon:.4f}" for mu, (_, epsilon) in slices.items()})
-print(
-    f"the same by the library: {epsilon_linearized(G, MU, length=RADIUS, edges=16):.4f}; exact cones {ball.lower:.4f}"
-)
+print(f"the same by the library: {epsilon_linearized(three, edges=16):.4f}; exact cones {ball.lower:.4f}")
 
 # %% [markdown]
 # The blue body holds all forces that the three contacts can exert without a torque, their normal forces summing to one:
@@ -176,8 +193,8 @@ print(
 lengths, epsilon = slices[MU]
 assert epsilon <= lengths.min() and slices[0.2][1] < epsilon
 assert abs(lengths[0].max() - MU) < 0.02  # straight up: friction alone
-assert abs(epsilon - epsilon_linearized(G, MU, length=RADIUS, edges=16)) < 1e-6 and epsilon <= ball.upper
+assert abs(epsilon - epsilon_linearized(three, edges=16)) < 1e-6 and epsilon <= ball.upper
 
 # %% [markdown]
 # **Exercise.** Lower `MU` towards zero. By which law do the forces grow, and does `balance` ever fail? Then allow no
-# normal force above 1 N, by the map `A` that picks the normals and an `effort` of 1 N: at which `MU` does it fail now?
+# normal force above 1 N, by the `effort` of `Effort.of_normal_forces(3, 1.0)`: at which `MU` does it fail now?

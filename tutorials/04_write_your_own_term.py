@@ -18,7 +18,7 @@
 import numpy as np
 
 import xdex_drake as xd
-from xdex_drake.hand.kinematics import skew
+from xdex_drake.arrays import skew
 from xdex_drake.programs.constraints import Block
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import LeastSquares

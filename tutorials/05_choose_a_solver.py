@@ -17,8 +17,8 @@
 from pathlib import Path
 
 import xdex_drake as xd
-from xdex_drake.evaluation.bench import Watch
-from xdex_drake.evaluation.bench_problems import bench_problems, profile_picture, profile_ratios, summary
+from xdex_drake.bench.problems import bench_problems, profile_picture, profile_ratios, summary
+from xdex_drake.bench.watch import Watch
 
 hand = xd.load_hand("allegro")
 scene = xd.make_scene(xd.load_object("can"))

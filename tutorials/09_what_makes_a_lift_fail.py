@@ -68,13 +68,13 @@ print(f"bound by friction alone: {1e3 * scene.object.friction * forces.sum() / 9
 # %% [markdown]
 # ## Squeeze
 #
-# The squeeze targets lie inside the object, as far as the promised torques need. Without them the fingers rest at the
-# surface, where a touch without force holds nothing.
+# The squeeze drives the joints by the torques of the promised forces. Without them the fingers rest at the surface,
+# where a touch without force holds nothing.
 
 # %%
-assert grasp.q_squeeze is not None and grasp.X_WH_pregrasp is not None and grasp.q_pregrasp is not None
+assert grasp.tau_squeeze is not None and grasp.X_WH_pregrasp is not None and grasp.q_pregrasp is not None
 for share in (1.0, 0.7, 0.4, 0.2, 0.0):
-    weak = replace(grasp, q_squeeze=grasp.q + share * (grasp.q_squeeze - grasp.q))
+    weak = replace(grasp, tau_squeeze=share * grasp.tau_squeeze)
     tell(f"squeeze {share:.0%}", xd.lift(weak, hand, scene))
 
 # %% [markdown]
@@ -112,7 +112,7 @@ tell("twice the mass", robust.heavy)
 # understood at a glance.
 
 # %%
-failed = replace(grasp, q_squeeze=grasp.q + 0.2 * (grasp.q_squeeze - grasp.q))
+failed = replace(grasp, tau_squeeze=0.2 * grasp.tau_squeeze)
 Path("failed_lift.html").write_text(xd.replay_lift(failed, hand, scene))
 print("failed_lift.html:", Path("failed_lift.html").stat().st_size // 1000, "kB")
 

@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -72,6 +71,24 @@ class Certificate:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """What holding and pushing a lifted object showed; see `simulation.protocol.HoldTest`.
+
+    Attributes:
+        holds: Whether slip and turn stayed within the protocol's bounds until the end.
+        reason: What went wrong and when, `slipped:+x` for one; empty where it holds.
+        slip_m: Greatest distance of the object's center of mass from where the hand had it at the end of the squeeze
+            [m], NaN where it did not lift.
+        turn_rad: Greatest turn of the object in the hand since then [rad], NaN where it did not lift.
+    """
+
+    holds: bool
+    reason: str
+    slip_m: float
+    turn_rad: float
+
+
+@dataclass(frozen=True)
 class Lift:
     """What a simulated lift showed.
 
@@ -82,6 +99,7 @@ class Lift:
         lift_height_m: Final rise of the object's center of mass [m].
         fingertips: Names of the fingers whose tip touched at the end.
         seconds: Wall time of the simulation.
+        hold: What came after the lift, None where the protocol ends with it.
     """
 
     protocol: str
@@ -90,6 +108,12 @@ class Lift:
     lift_height_m: float
     fingertips: tuple[str, ...]
     seconds: float
+    hold: Hold | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the lift succeeded and, where the protocol goes on, the object was held."""
+        return self.success and (self.hold is None or self.hold.holds)
 
 
 @dataclass(frozen=True)
@@ -105,12 +129,18 @@ class Grasp:
         certificate: Proof of the grasp, None where there is none.
         X_WH_pregrasp: Wrist pose of the pre-grasp, None where it has not been computed.
         q_pregrasp: Joint values of the pre-grasp, None where it has not been computed.
-        q_squeeze: Joint targets that apply the certificate's forces, None where they have not been computed.
+        q_squeeze: Targets of a squeeze by positions alone, within the joint limits, None where they have not been
+            computed.
+        tau_squeeze: Torques of the squeeze [N m or N], shape (n,), None where they have not been computed. Joints are
+            driven by kp (q - q_now) + tau_squeeze.
         lift: The result of simulation, None where it has not been simulated.
         grasp_id: Identifier, unique in a data set.
         source_grasp_id: Identifier of the grasp that this one was retargeted from, empty for a source grasp.
         penetration_parts_m: Depth of the deepest object point in the hand, against the convex parts [m].
         penetration_mesh_m: The same against the mesh [m].
+        squeeze_margin: Multiple of the pushes that constant targets resist without sliding, NaN where it is not known.
+        stiffness_least: Least eigenvalue of the stiffness with which the hand holds the object, turns times `length`
+            [N/m], NaN where it is not known.
         seconds: Wall time spent on this grasp, without the lift.
     """
 
@@ -123,9 +153,12 @@ class Grasp:
     X_WH_pregrasp: RigidTransform | None = None
     q_pregrasp: Array | None = None
     q_squeeze: Array | None = None
+    tau_squeeze: Array | None = None
     lift: Lift | None = None
     grasp_id: str = ""
     source_grasp_id: str = ""
     penetration_parts_m: float = float("nan")
     penetration_mesh_m: float = float("nan")
+    squeeze_margin: float = float("nan")
+    stiffness_least: float = float("nan")
     seconds: float = 0.0

@@ -10,9 +10,9 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.resolvers import Resolver
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import XdexError
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".gltf", ".glb", ".dae")

@@ -14,6 +14,9 @@ from xdex_drake.errors import ConfigError, XdexError
 
 T = TypeVar("T")
 
+NOT_IN_FILE: dict[str, bool] = {"in_file": False}
+"""Metadata of a dataclass's field that no file sets, such as the path that it was read from."""
+
 
 def read_typed_yaml(path: str | Path, cls: type[T], *, error: type[XdexError] = ConfigError) -> T:
     """Reads a file into a frozen dataclass; what the file leaves out keeps its default.
@@ -116,7 +119,7 @@ def _read_fields(value: Any, cls: type, file: str, field: str, error: type[XdexE
         value = {}
     if not isinstance(value, dict):
         raise error(f"{file}: {where or 'the file '}must be a mapping of keys to values")
-    known = {entry.name: entry for entry in dataclasses.fields(cls) if entry.init}
+    known = {entry.name: entry for entry in dataclasses.fields(cls) if entry.metadata.get("in_file", True)}
     hints = typing.get_type_hints(cls)
     for key in value:
         if key not in known:

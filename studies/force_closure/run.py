@@ -29,14 +29,9 @@ def rows_of_object(mesh: str, hand_name: str, protocol_name: str, count: int, bu
     import numpy as np
 
     from xdex_drake.contact.certificate import check_certificate
-    from xdex_drake.dataset.synthesis import (
-        SynthesisSettings,
-        Tally,
-        batch_seed,
-        candidates_of_batch,
-        settings_of_batch,
-    )
     from xdex_drake.grasp import Grasp
+    from xdex_drake.grasping.synthesis import SynthesisSettings, batch_seed, candidates_of_batch, settings_of_batch
+    from xdex_drake.grasping.tally import Tally
     from xdex_drake.hand.library import load_hand
     from xdex_drake.programs.grasp_types import approach_axis
     from xdex_drake.scene.object import load_object
@@ -107,7 +102,7 @@ def main() -> None:
 
     from tqdm import tqdm
 
-    from xdex_drake.dataset.executors import run_units
+    from xdex_drake.jobs.processes import run_units
 
     done: set[str] = set()
     if args.out.exists():

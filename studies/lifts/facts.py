@@ -29,8 +29,9 @@ from reasons import spoiled
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
+    from xdex_drake.arrays import Array
     from xdex_drake.grasp import Grasp
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.hand.description import Hand
     from xdex_drake.simulation.lift import LiftRig
 
 COLUMNS = ("hand", "object", "grasp", "spoiled_by", "named", "fact", "agree", "deepest_mm", "lowest_mm", "behind_mm")
@@ -128,7 +129,7 @@ def read_fact(rig: "LiftRig", grasp: "Grasp") -> "tuple[str, str, float, float, 
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Spoils and lifts until there are `count` failures, evenly over hands and objects."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene

@@ -22,8 +22,9 @@ import numpy as np
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
+    from xdex_drake.arrays import Array
     from xdex_drake.grasp import Grasp
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.hand.description import Hand
     from xdex_drake.scene.tabletop import Scene
     from xdex_drake.simulation.lift import LiftRig
 
@@ -43,12 +44,12 @@ def least_forces(grasp: "Grasp", scene: "Scene", factor: float, load: float) -> 
     """
     import cvxpy as cp
 
-    from xdex_drake.contact.certificate import contact_geometry
+    from xdex_drake.contact.held_object import HeldObject
 
     assert grasp.certificate is not None
     contacts = grasp.certificate.contacts
     p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
-    _, G = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), scene.object.p_OOcm)
+    G = HeldObject.of(scene).grasp_map(p_OCs, n_OCs).G
     f = cp.Variable((len(contacts), 3))
     scale = np.array([1e2, 1e2, 1e2, 1.0, 1.0, 1.0])  # torques in N cm
     constraints: list = [(scale[:, None] * G) @ cp.vec(f, order="C") == np.array([0.0, 0.0, 0.0, 0.0, 0.0, load])]
@@ -89,7 +90,7 @@ def held(rig: "LiftRig", grasp: "Grasp") -> tuple[bool, str, float]:
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Lifts every grasp with every squeeze."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
@@ -127,8 +128,8 @@ def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
 
 def squeeze(hand: "Hand", scene: "Scene", grasp: "Grasp", forces: "Array", kp: float) -> "tuple[Grasp, bool]":
     """The grasp with squeeze targets for other forces, and whether a joint's effort limits them."""
+    from xdex_drake.grasping.squeeze import contact_torques, squeezed
     from xdex_drake.hand.kinematics import Configuration
-    from xdex_drake.simulation.pregrasp import contact_torques, squeeze_targets
 
     certificate = grasp.certificate
     assert certificate is not None
@@ -137,7 +138,7 @@ def squeeze(hand: "Hand", scene: "Scene", grasp: "Grasp", forces: "Array", kp: f
     other = replace(grasp, certificate=promise)
     torques = contact_torques(hand, Configuration.at(hand, grasp.X_WH, grasp.q), scene, promise)
     limited = bool(np.any(np.abs(torques) > hand.effort))
-    return replace(other, q_squeeze=squeeze_targets(hand, other, scene, kp)), limited
+    return squeezed(hand, other, torques, kp), limited
 
 
 def summarize(path: Path) -> None:

@@ -118,13 +118,13 @@ def spoiled(
         shift = RigidTransform(rng.normal(size=3) * size / np.sqrt(3.0))
         moved = replace(grasp, X_WH=shift @ grasp.X_WH, X_WH_pregrasp=shift @ grasp.X_WH_pregrasp)
         yield f"shift {1e3 * size:.0f} mm", moved, scene, LIFT
-    yield "no squeeze", replace(grasp, q_squeeze=grasp.q - 0.05), scene, LIFT
+    yield "no squeeze", replace(grasp, tau_squeeze=np.full_like(grasp.q, -0.05 * LIFT.plant.kp)), scene, LIFT
     low = RigidTransform([0.0, 0.0, -float(rng.uniform(0.01, 0.06))])
     yield "low", replace(grasp, X_WH=low @ grasp.X_WH), scene, LIFT
     keep = hand.fingers[int(rng.integers(len(hand.fingers)))]
     own = np.array([name in {j.name for j in _finger_joints(hand, keep.links)} for name in hand.joint_names])
-    q, squeeze = (np.where(own, a, grasp.q_pregrasp) for a in (grasp.q, grasp.q_squeeze))
-    yield "one finger", replace(grasp, q=q, q_squeeze=squeeze), scene, LIFT
+    q, tau = np.where(own, grasp.q, grasp.q_pregrasp), np.where(own, grasp.tau_squeeze, 0.0)
+    yield "one finger", replace(grasp, q=q, tau_squeeze=tau), scene, LIFT
 
 
 def _finger_joints(hand: "Hand", links: tuple[str, ...]) -> list:
@@ -133,7 +133,7 @@ def _finger_joints(hand: "Hand", links: tuple[str, ...]) -> list:
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Spoils and lifts until there are `count` failures, evenly over hands and objects."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene

@@ -73,7 +73,7 @@ def lift_with_gauges(rig: "LiftRig", grasp: "Grasp") -> "tuple[Lift, float, floa
 
 def run(hands: list[str], objects: list[str], count: int, out: Path) -> None:
     """Lifts at every setting and appends a row for each."""
-    from xdex_drake.dataset.synthesis import certified_grasps
+    from xdex_drake.grasping.synthesis import certified_grasps
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene

@@ -24,14 +24,16 @@ import numpy as np
 from scipy.stats import rankdata
 
 import xdex_drake as xd
-from xdex_drake.contact import contact_geometry, epsilon_linearized
-from xdex_drake.dataset.synthesis import GIVEN, Demands, SynthesisSettings, batch_seed, certified_grasps, finish_grasp
+from xdex_drake.contact import certified_map, epsilon_linearized
+from xdex_drake.grasping.finish import GIVEN, Demands, finish_grasp
+from xdex_drake.grasping.pregrasp import pregrasp
+from xdex_drake.grasping.squeeze import squeeze_by_rule
+from xdex_drake.grasping.synthesis import SynthesisSettings, batch_seed, certified_grasps
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wrench_blocks
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.solve import solve
 from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
-from xdex_drake.simulation.pregrasp import pregrasp, squeeze_by_rule
 from xdex_drake.simulation.protocol import LIFT, with_physics
 
 MARGINS = ("task_margin", "ball_margin", "epsilon", "friction_left")
@@ -67,7 +69,7 @@ def touching(hand: xd.Hand, scene: xd.Scene) -> Iterator[xd.Grasp]:
                 bare = xd.Grasp(hand.name, scene.object.name, scene.X_WO, k.X_WH, np.clip(k.q, *hand.limits))
                 bare = replace(bare, X_WH_pregrasp=opened.X_WH, q_pregrasp=opened.q)
                 if opened.clearance >= 1e-3:
-                    yield replace(bare, q_squeeze=squeeze_by_rule(hand, bare, scene, LIFT.plant.kp))
+                    yield squeeze_by_rule(hand, bare, scene, LIFT.plant.kp)
 
 
 POPULATIONS = {"touching": touching, "certified": certified}
@@ -82,12 +84,10 @@ def rows_of(population: str, hand_name: str, object_name: str, count: int) -> It
     for grasp in itertools.islice(POPULATIONS[population](hand, scene), count):
         margins = dict.fromkeys(MARGINS, 0.0)
         if (proof := grasp.certificate) is not None:
-            points, normals = np.array([c.p_OC for c in proof.contacts]), np.array([c.n_OC for c in proof.contacts])
-            G = contact_geometry(points, normals, proof.R_WO, proof.p_OOcm)[1]
             margins = {
                 "task_margin": proof.task_margin,
                 "ball_margin": proof.margin_lower,
-                "epsilon": epsilon_linearized(G, proof.contacts[0].mu, length=proof.length),
+                "epsilon": epsilon_linearized(certified_map(proof)),
                 "friction_left": proof.friction_left,
             }
         verdicts = simulate_lift(rig, grasp), lift(grasp, hand, hard_scene, protocol=hard)

@@ -4,13 +4,19 @@ import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 
+import numpy as np
 import pytest
 
 from xdex_drake.cli import main
 from xdex_drake.dataset.files import load_grasps
-from xdex_drake.dataset.parallel import BatchResult, GraspRequest, RequestTally, synthesize_batches
-from xdex_drake.dataset.store import read_grasps, write_grasps
+from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
+from xdex_drake.grasping.tally import Tally
+from xdex_drake.jobs.grasps import BatchResult, GraspRequest, synthesize_batches
+from xdex_drake.scene.facts import SceneFacts
+from xdex_drake.scene.object import load_object
+from xdex_drake.scene.tabletop import make_scene
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +56,29 @@ def test_export_is_plain_json(grasps, tmp_path):
     assert content["grasps"][0]["q"] == read_grasps(grasps)[0]["q"]
 
 
+def test_two_simulators_judge_the_same_grasps(grasps, tmp_path, capsys):
+    pytest.importorskip("mujoco", reason="mujoco is not installed")
+    out = tmp_path / "judged.parquet"
+    words = ["lift", str(grasps), "--simulator", "mujoco", "--simulator", "drake", "--out", str(out), "--workers", "1"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "mujoco and drake agree on" in said and said.count("allegro") == 2
+    assert {row["protocol"] for row in read_grasps(out)} == {"mujoco:lift-0.2/2tips"}
+    assert main(["lift", str(grasps), "--simulator", "bullet"]) == 2
+
+
+def test_export_to_mujoco_is_a_scene_for_each_grasp(grasps, tmp_path, capsys):
+    assert main(["export", str(grasps), "--format", "mujoco", "--out", str(tmp_path / "scenes")]) == 0
+    files = sorted((tmp_path / "scenes").glob("*.xml"))
+    assert len(files) == 2
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    for file, item in zip(files, load_grasps(grasps), strict=True):
+        model = mujoco.MjModel.from_xml_path(str(file))
+        np.testing.assert_allclose(model.key("grasp").ctrl[3:], item.grasp.q)
+        target = item.grasp.q + item.grasp.tau_squeeze / item.row["gains"]["kp"]
+        np.testing.assert_allclose(model.key("squeeze").ctrl[3:], target)
+
+
 def test_retargeted_grasps_name_their_source(grasps, tmp_path, capsys):
     out = tmp_path / "pairs.parquet"
     status = main(["retarget", str(grasps), "--to", "allegro", "--out", str(out), "--workers", "1", "--keep-failed"])
@@ -81,12 +110,12 @@ def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):
     finished = tuple(item.grasp for item in load_grasps(grasps))
 
     def interrupted(request, *, count, workers, time_limit_s, tally):
-        result = BatchResult(0, finished[:1], 5, {"cone": 4}, 0.0, 1.0)
-        tally.add(result)
+        result = BatchResult(finished[:1], Tally(5, 1, 1, 1, Counter(cone=4)), 0.0)
+        tally.merge(result.tally)
         yield result
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("xdex_drake.dataset.parallel.synthesize_batches", interrupted)
+    monkeypatch.setattr("xdex_drake.jobs.grasps.synthesize_batches", interrupted)
     out = tmp_path / "kept.parquet"
     assert main(["grasp", "--hand", "allegro", "--object", "can", "--out", str(out)]) == 130
     assert [row["grasp_id"] for row in read_grasps(out)] == [finished[0].grasp_id]
@@ -141,10 +170,10 @@ def test_a_data_set_resumes_and_verifies(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_two_workers_find_what_one_finds():
-    request = GraspRequest("ability", "can", seed=3)
+    request = GraspRequest("ability", SceneFacts.of(make_scene(load_object("can"))), seed=3)
 
     def found(workers: int) -> tuple[list, int]:
-        tally = RequestTally()
+        tally = Tally()
         batches = synthesize_batches(request, count=3, workers=workers, time_limit_s=600.0, tally=tally)
         return [(g.grasp_id, g.q.tolist()) for batch in batches for g in batch.grasps], tally.tried
 

@@ -56,6 +56,12 @@ def test_help_of_a_command_imports_nothing_heavy():
 
 def test_a_grasp_imports_no_more_than_it_uses():
     # Each of these costs a tenth of a second or more at every start.
-    modules, _ = loaded_by("import xdex_drake.dataset.parallel, xdex_drake.dataset.synthesis, xdex_drake.cli.grasps")
+    modules, _ = loaded_by("import xdex_drake.jobs.grasps, xdex_drake.grasping.synthesis, xdex_drake.cli.grasps")
     assert not modules & {"cvxpy", "matplotlib", "pandas", "qpsolvers", "scipy.signal", "scipy.stats", "sklearn"}
-    assert not modules & {"sympy", "torch._dynamo", "torch._inductor", "xdex_drake.model", "xdex_drake.visualization"}
+    assert not modules & {
+        "sympy",
+        "torch._dynamo",
+        "torch._inductor",
+        "xdex_drake.learning",
+        "xdex_drake.visualization",
+    }

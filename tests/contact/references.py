@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from xdex_drake.contact import contact_frames, grasp_matrix
+from xdex_drake.contact import GraspMap, contact_frames, grasp_matrix
 
-RADIUS = 0.04
+RADIUS, MU = 0.04, 0.6
 
 
 def ball_grasp(rng, n):
@@ -23,6 +23,10 @@ def ring_grasp(n, radius=RADIUS):
 
 def matrix(p, normals, center=(0.0, 0.0, 0.0)):
     return grasp_matrix(p, contact_frames(normals), center)
+
+
+def grasp_map(p, normals, center=(0.0, 0.0, 0.0), mu=MU, length=RADIUS):
+    return GraspMap(matrix(p, normals, center), mu, length)
 
 
 def scaled(G, length):

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.contact.references import RADIUS, ball_grasp, ring_grasp
-from xdex_drake.contact import certify, check_certificate, contact_frames, contact_geometry
+from tests.contact.references import MU, RADIUS, ball_grasp, ring_grasp
+from xdex_drake.contact import Effort, HeldObject, certified_map, certify, check_certificate, contact_frames
+from xdex_drake.errors import ConfigError
 
-BASICS = {"mu": 0.6, "mass": 0.1, "p_OOcm": np.array([0.002, 0.0, 0.001]), "length": RADIUS}
+P_OOCM = np.array([0.002, 0.0, 0.001])
 
 
-def make(p, normals, R_WO=np.eye(3), **options):  # noqa: B008
+def make(p, normals, R_WO=np.eye(3), p_OOcm=P_OOCM, **options):  # noqa: B008
     links = [f"link_{i}" for i in range(len(p))]
-    return certify(p, normals, links, R_WO=R_WO, **(BASICS | options))
+    return certify(p, normals, links, HeldObject(0.1, RADIUS, p_OOcm, MU, R_WO), **options)
 
 
 def certified(seed=0, n=4):
@@ -55,6 +56,10 @@ def test_alterations_are_found():
         "lower": replace(certificate, margin_lower=1.01 * certificate.margin_lower),
         "upper": replace(certificate, margin_upper=0.5 * certificate.margin_upper),
         "witness": replace(certificate, witness_forces=1.01 * certificate.witness_forces),
+        "length": replace(certificate, length=0.0),
+        "no mass": replace(certificate, mass=0.0),
+        "negative friction": replace(certificate, contacts=(replace(first, mu=-0.1), *others)),
+        "no normal": replace(certificate, contacts=(replace(first, n_OC=np.zeros(3)), *others)),
         "nan": replace(certificate, contacts=(replace(first, f_C=np.full(3, np.nan)), *others)),
         "empty": replace(certificate, contacts=()),
     }
@@ -73,7 +78,7 @@ def test_refusals_say_why():
     p, normals = ring_grasp(3)
     assert "friction" in make(p[:1], normals[:1]).reason
     assert "no contact" in make(np.zeros((0, 3)), np.zeros((0, 3))).reason
-    weak = make(p, normals, A=np.eye(9), effort=np.full(9, 0.01))
+    weak = make(p, normals, effort=Effort(np.eye(9), np.full(9, 0.01)))
     assert weak.certificate is None and "effort" in weak.reason
 
 
@@ -84,7 +89,7 @@ def test_turning_grasp_and_gravity_together_changes_nothing():
     Q, t = contact_frames(rng.normal(size=3)), rng.normal(size=3)
     base = make(p, normals).certificate
     # The same grasp in another object frame: p_O' = Q p_O + t, hence R_WO' = Q^T.
-    other = make(p @ Q.T + t, normals @ Q.T, R_WO=Q.T, p_OOcm=Q @ BASICS["p_OOcm"] + t).certificate
+    other = make(p @ Q.T + t, normals @ Q.T, R_WO=Q.T, p_OOcm=Q @ P_OOCM + t).certificate
     assert base is not None and other is not None and check_certificate(other).passes()
     assert other.task_margin == pytest.approx(base.task_margin, abs=1e-4)
     assert other.margin_lower == pytest.approx(base.margin_lower, abs=1.1e-3)
@@ -93,9 +98,22 @@ def test_turning_grasp_and_gravity_together_changes_nothing():
 def test_contact_frames_are_fixed_to_the_object():
     p, normals = ring_grasp(3)
     R_WO = contact_frames([0.3, -0.2, 0.9])
-    R_WCs, G = contact_geometry(p, normals, R_WO, np.zeros(3))
-    assert R_WCs == pytest.approx(R_WO @ contact_frames(normals))
-    assert pytest.approx(normals @ R_WO.T) == G[3:].reshape(3, 3, 3)[:, :, 2].T
+    G = HeldObject(0.1, RADIUS, np.zeros(3), MU, R_WO).grasp_map(p, normals).G
+    R_WCs = np.moveaxis(G[3:].reshape(3, 3, 3), 0, 1)
+    assert pytest.approx(R_WO @ contact_frames(normals)) == R_WCs
+    assert pytest.approx(normals @ R_WO.T) == R_WCs[..., 2]
+    assert certified_map(certificate := make(p, normals, R_WO).certificate).mu == pytest.approx(MU)
+    assert certificate.contacts[1].mu == MU
+
+
+def test_friction_may_differ_between_contacts():
+    mu = np.array([0.4, 0.6, 0.8])
+    held = HeldObject(0.1, RADIUS, np.zeros(3), mu, np.eye(3))
+    certificate = certify(*ring_grasp(3), ["a", "b", "c"], held).certificate
+    assert certificate is not None and [c.mu for c in certificate.contacts] == list(mu)
+    assert check_certificate(certificate).passes()
+    with pytest.raises(ConfigError, match="mass"):
+        HeldObject(0.0, RADIUS, np.zeros(3), MU, np.eye(3))
 
 
 def test_friction_left_is_what_the_forces_were_told_to_spare():

@@ -11,8 +11,6 @@ from xdex_drake.contact import (
     contact_frames,
     effort_map,
     grasp_matrix,
-    in_cone,
-    project_onto_cone,
 )
 from xdex_drake.errors import ConfigError
 
@@ -65,31 +63,10 @@ def test_grasp_matrix_sums_forces_and_torques():
 
 def test_effort_map_is_virtual_work():
     rng = np.random.default_rng(3)
-    J, R, C = rng.normal(size=(2, 3, 4)), contact_frames(rng.normal(size=(2, 3))), rng.normal(size=(4, 3))
-    f, v = rng.normal(size=6), rng.normal(size=3)
-    power = sum((R[i] @ f[3 * i : 3 * i + 3]) @ (J[i] @ C @ v) for i in range(2))
-    assert (effort_map(J, R, C) @ f) @ v == pytest.approx(power)
-
-
-@given(vectors, st.floats(0.0, 3.0))
-def test_projection_is_the_nearest_point(f, mu):
-    projected = project_onto_cone(f, mu)
-    assert in_cone(projected, mu, 1e-9)
-    # Moreau: f - projection is in the polar cone and orthogonal to the projection.
-    rest = f - projected
-    assert rest @ projected == pytest.approx(0.0, abs=1e-9)
-    assert mu * np.hypot(rest[0], rest[1]) <= -rest[2] + 1e-9
-    assert project_onto_cone(projected, mu) == pytest.approx(projected, abs=1e-9)
-
-
-def test_projection_against_cvxpy():
-    cvxpy = pytest.importorskip("cvxpy")
-    rng = np.random.default_rng(4)
-    for mu in (0.0, 0.3, 1.5):
-        f = rng.normal(size=3)
-        x = cvxpy.Variable(3)
-        cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(x - f)), [cvxpy.norm(x[:2]) <= mu * x[2]]).solve("CLARABEL")
-        assert project_onto_cone(f, mu) == pytest.approx(x.value, abs=1e-5)
+    J, R = rng.normal(size=(2, 3, 4)), contact_frames(rng.normal(size=(2, 3)))
+    f, v = rng.normal(size=6), rng.normal(size=4)
+    power = sum((R[i] @ f[3 * i : 3 * i + 3]) @ (J[i] @ v) for i in range(2))
+    assert (effort_map(J, R) @ f) @ v == pytest.approx(power)
 
 
 @settings(deadline=None)

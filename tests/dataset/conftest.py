@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
-from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+from xdex_drake.grasp import Grasp, Hold, Lift
 from xdex_drake.hand.description import Coupling, Finger, Hand, Joint, Link
 
 IDENTITY = np.eye(3)
@@ -41,22 +43,17 @@ def make_facts(name="mug"):
 def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
     facts = make_facts(object)
     X_WO = RigidTransform(RollPitchYaw(rng.uniform(-1.5, 1.5, 3)), rng.normal(size=3))
-    contacts = tuple(
-        Contact(f"link{k}", rng.normal(size=3), np.array([0.0, 0.0, 1.0]), 0.6, rng.normal(size=3)) for k in range(3)
-    )
-    certificate = Certificate(
-        contacts=contacts,
-        R_WO=X_WO.rotation().matrix(),
-        p_OOcm=facts.p_OOcm,
-        mass=facts.mass,
-        length=facts.length,
-        wrench_residual=1e-9,
-        task_margin=1.5,
-        margin_lower=0.11,
-        margin_upper=0.12,
-        witness_forces=rng.normal(size=(12, 9)),
-        witness_direction=rng.normal(size=6),
-    )
+    # Three fingers around the center of mass, level whatever the object's rotation.
+    angles, R_OW = rng.uniform(0.0, 0.3) + np.array([0.0, 2.1, 4.2]), X_WO.rotation().matrix().T
+    out_W = np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=1)
+    certificate = certify(
+        facts.p_OOcm + 0.03 * out_W @ R_OW.T,
+        -out_W @ R_OW.T,
+        [f"link{k}" for k in range(3)],
+        HeldObject(facts.mass, facts.length, facts.p_OOcm, facts.friction, X_WO.rotation().matrix()),
+    ).certificate
+    assert certificate is not None
+    hold = Hold(True, "", 0.001, 0.02) if success else Hold(False, "not_lifted", float("nan"), float("nan"))
     return Grasp(
         hand="tiny",
         object=object,
@@ -67,11 +64,13 @@ def make_grasp(rng, *, grasp_id="g0", success=True, source="", object="mug"):
         X_WH_pregrasp=RigidTransform(rng.normal(size=3)),
         q_pregrasp=rng.uniform(-1.0, 1.0, 2),
         q_squeeze=rng.uniform(-1.0, 1.0, 2),
-        lift=Lift("lift-0.2/2tips", success, "" if success else "slipped", 0.25, ("index", "thumb"), 1.5),
+        tau_squeeze=rng.uniform(-1.0, 1.0, 2),
+        lift=Lift("hold", success, "" if success else "slipped", 0.25, ("index", "thumb"), 1.5, hold),
         grasp_id=grasp_id,
         source_grasp_id=source,
         penetration_parts_m=0.0003,
         penetration_mesh_m=float("nan"),
+        squeeze_margin=1.3,
         seconds=2.0,
     )
 

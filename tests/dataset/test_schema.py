@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.contact.cones import contact_frames
+from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
 from xdex_drake.dataset.schema import (
     SCHEMA,
     grasp_from_row,
@@ -20,9 +22,8 @@ from xdex_drake.dataset.schema import (
     pose_to_list,
     row_from_grasp,
 )
-from xdex_drake.dataset.store import read_grasps, write_grasps
 from xdex_drake.errors import GraspFileError
-from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+from xdex_drake.grasp import Certificate, Contact, Grasp, Hold, Lift
 
 ROUNDING = 1e-15  # a rotation travels as a quaternion, a penetration in centimetres
 
@@ -66,6 +67,16 @@ def poses(draw):
     return RigidTransform(RotationMatrix(Quaternion(wxyz=wxyz / np.linalg.norm(wxyz))), draw(arrays(3)))
 
 
+def normals():
+    return arrays(3).filter(lambda v: np.linalg.norm(v) > 1e-3)
+
+
+@st.composite
+def holds(draw):
+    number = REAL | st.just(float("nan"))
+    return Hold(draw(st.booleans()), draw(TEXT), draw(number), draw(number))
+
+
 @st.composite
 def grasps(draw, facts):
     X_WO = draw(poses())
@@ -73,7 +84,7 @@ def grasps(draw, facts):
     if draw(st.booleans()):
         count = draw(st.integers(0, 4))
         contacts = tuple(
-            Contact(draw(TEXT), draw(arrays(3)), draw(arrays(3)), draw(REAL), draw(arrays(3))) for _ in range(count)
+            Contact(draw(TEXT), draw(arrays(3)), draw(normals()), draw(REAL), draw(arrays(3))) for _ in range(count)
         )
         certificate = Certificate(
             contacts,
@@ -85,7 +96,8 @@ def grasps(draw, facts):
             witness_forces=draw(arrays(12, 3 * count)),
             witness_direction=draw(arrays(6)),
         )
-    lift = Lift(draw(TEXT), draw(st.booleans()), draw(TEXT), draw(REAL), tuple(draw(st.lists(TEXT, max_size=3))), 1.0)
+    tips = tuple(draw(st.lists(TEXT, max_size=3)))
+    lift = Lift(draw(TEXT), draw(st.booleans()), draw(TEXT), draw(REAL), tips, 1.0, draw(st.none() | holds()))
     return Grasp(
         hand="tiny",
         object="mug",
@@ -96,11 +108,14 @@ def grasps(draw, facts):
         X_WH_pregrasp=draw(st.none() | poses()),
         q_pregrasp=draw(st.none() | arrays(2)),
         q_squeeze=draw(st.none() | arrays(2)),
+        tau_squeeze=draw(st.none() | arrays(2)),
         lift=draw(st.sampled_from([None, lift])),
         grasp_id=draw(TEXT),
         source_grasp_id=draw(TEXT),
         penetration_parts_m=draw(REAL | st.just(float("nan"))),
         penetration_mesh_m=draw(REAL | st.just(float("nan"))),
+        squeeze_margin=draw(REAL | st.just(float("nan"))),
+        stiffness_least=draw(REAL | st.just(float("nan"))),
         seconds=draw(REAL),
     )
 
@@ -141,6 +156,21 @@ def test_each_column_says_its_meaning_and_the_joint_values_follow_the_coupling(m
     assert json.loads(json.dumps(row)) == row  # plain values only
 
 
+def test_a_row_tells_another_tool_where_the_base_is_and_how_the_forces_act(make_row, make_grasp, tiny_hand, facts):
+    hand = dataclasses.replace(
+        tiny_hand, p_HB=np.array([0.0, 0.1, 0.0]), R_HB=RotationMatrix.MakeXRotation(0.4).matrix()
+    )
+    grasp = make_grasp(np.random.default_rng(1))
+    row = row_from_grasp(grasp, scene_id="s", hand=hand, hand_digest="h", object=facts)
+    assert row["joint_names_full"] == ["joint0", "joint1", "joint2"] and len(row["q_full"]) == 3
+    X_BH = RigidTransform(RotationMatrix(hand.R_HB), hand.p_HB).inverse()
+    assert (pose_from_list(row["X_WB"]) @ X_BH).IsNearlyEqualTo(grasp.X_WH, 1e-14)
+    # Forces by the columns alone, as another tool finds them, and by this library.
+    n, t, f = (np.array([contact[name] for contact in row["contacts"]]) for name in ("n_OC", "t_OC", "f_C"))
+    forces_O = f[:, :1] * t + f[:, 1:2] * np.cross(n, t) + f[:, 2:] * n
+    np.testing.assert_allclose(forces_O, np.einsum("kab,kb->ka", contact_frames(n), f), atol=1e-12)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_pose_is_position_then_quaternion_with_w_first(sign):
     wxyz = sign * np.array([0.5, 0.1, -0.7, 0.5]) / np.linalg.norm([0.5, 0.1, -0.7, 0.5])
@@ -175,6 +205,7 @@ def test_object_facts_and_lift_columns_come_back(make_row, facts):
         ({"object": "other"}, "object 'other'"),
         ({"q": np.zeros(3)}, "must have 2 values"),
         ({"q_squeeze": np.zeros(1)}, "must have 2 values"),
+        ({"tau_squeeze": np.zeros(3)}, "must have 2 values"),
         ({"X_WO": RigidTransform(RotationMatrix.MakeXRotation(0.1))}, "another R_WO"),
     ],
 )

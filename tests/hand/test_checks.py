@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from xdex_drake.hand.checks import check_hand, check_in_drake, hand_size, repaired_rest
+from xdex_drake.hand.checks import FACET_GAP, _at_rest, check_hand, check_in_drake, hand_size, repaired_rest
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import list_hands, load_hand
-from xdex_drake.hand.variation import remove_finger, scale_hand
+from xdex_drake.hand.plant import contact_shape, drake_shape
+from xdex_drake.hand.variation import remove_finger, scale_hand, scale_links
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,24 @@ def test_the_library_is_sound(name) -> None:
 
 def test_rests_in_drake(hand) -> None:
     assert check_in_drake(hand, time_step=0.02) == ()
+
+
+def test_facets_make_no_difference_to_a_hand_that_touches_nothing(hand) -> None:
+    drifts = []
+    for shape_of in (drake_shape, contact_shape):
+        rest = _at_rest(hand, 0.02, shape_of)
+        assert not rest.has_links_within(FACET_GAP)
+        drifts.append(rest.drift(0.2))
+    assert drifts[0] == drifts[1]
+
+
+def test_links_in_contact_at_rest_are_told(hand) -> None:
+    """Two fingers whose shapes press against each other though their spheres do not: a fault that only Drake sees."""
+    finger = next(f for f in hand.fingers if f.name == "middle")
+    k = hand.link_index[finger.tip_link]
+    fat = with_link(hand, k, geometry=scale_links(hand, {finger.tip_link: 2.5}).links[k].geometry)
+    assert _at_rest(fat, 0.02, drake_shape).has_links_within(0.0)
+    assert check_in_drake(fat, time_step=0.02)[0].startswith("drift:")
 
 
 def test_faults_are_told(hand) -> None:

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from xdex_drake.dataset.hand_sets import generate_hands, read_hand_rows
 from xdex_drake.errors import ConfigError, UnknownHand
 from xdex_drake.hand.checks import ACTUATED, LINKS, SIZE, check_hand, hand_size
 from xdex_drake.hand.generation import (
@@ -21,6 +20,7 @@ from xdex_drake.hand.human import human_hand
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.variation import apply_operations, duplicate_link, read_operations, scale_hand
 from xdex_drake.hand.yaml_file import hand_digest, read_hand
+from xdex_drake.jobs.hands import generate_hands, read_hand_rows
 
 
 @pytest.fixture(scope="module")

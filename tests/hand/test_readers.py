@@ -12,8 +12,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.hand.description import Box, Capsule, Sphere
 from xdex_drake.hand.importing.drake_plant import model_from_plant
 from xdex_drake.hand.importing.files import hand_from_plant, hand_name, model_digest, read_model
 from xdex_drake.hand.importing.mjcf import read_mjcf
@@ -232,15 +233,19 @@ def test_an_mjcf_file_is_read(tmp_path) -> None:
     assert "without joints" in told
 
 
-def test_loops_are_left_open_and_told(tmp_path) -> None:
-    bodies = "".join(f"<body name='{n}'><joint name='j{n}'/><geom size='0.01'/></body>" for n in "ab")
-    connect = "<equality><connect body1='a' body2='b' anchor='0 0 0.1'/></equality>"
-    (tmp_path / "loop.xml").write_text(
-        f"<mujoco><worldbody><body name='base'>{bodies}</body></worldbody>{connect}</mujoco>"
+def test_loops_are_points_that_coincide(tmp_path) -> None:
+    bodies = "".join(
+        f"<body name='{n}' pos='{x} 0 0'><joint name='j{n}' pos='0 0 0.01'/><geom size='0.01'/></body>"
+        for n, x in (("a", 0.1), ("b", -0.1))
     )
-    (note,) = read_mjcf(tmp_path / "loop.xml").notes
-    assert "the loop between a and b" in note
-    assert "give the joints that it ties a coupling" in note
+    loop = "<equality><{} body1='a' body2='b' {}/></equality>"
+    robot = f"<mujoco><worldbody><body name='base'>{bodies}</body></worldbody>"
+    path = write(tmp_path, robot + loop.format("connect", "anchor='0 0 0.1'") + "</mujoco>", "loop.xml")
+    (found,) = read_mjcf(path).loops
+    assert found.links == ("a", "b")
+    np.testing.assert_allclose(found.points, [[0.0, 0.0, 0.09], [0.2, 0.0, 0.09]], atol=1e-15)
+    path = write(tmp_path, robot + loop.format("weld", "") + "</mujoco>", "loop.xml")
+    assert len(read_mjcf(path).loops) == 3
 
 
 def test_mujoco_agrees_with_the_reader(tmp_path) -> None:

@@ -6,33 +6,14 @@ from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Hand, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Box, Capsule, Convex, Hand, Sphere
 from xdex_drake.hand.human import human_hand
 from xdex_drake.hand.importing.interpret import interpret
 from xdex_drake.hand.importing.model import FileJoint, FileLink, FileModel, TriangleMesh
 from xdex_drake.hand.inertia import DENSITY, ROTOR_INERTIA, link_inertia
 from xdex_drake.hand.library import list_hands, load_hand
-from xdex_drake.hand.spheres import BULGE, SCALLOP, fit_spheres, half_spaces, signed_distance
-
-
-def surface(shape: Geometry, rng: np.random.Generator, n: int = 4000) -> Array:
-    """Random points on the surface, shape (n, 3)."""
-    directions = rng.normal(size=(n, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    if isinstance(shape, Sphere):
-        return shape.center + shape.radius * directions
-    if isinstance(shape, Capsule):
-        d = shape.p1 - shape.p0
-        feet = shape.p0 + rng.uniform(size=(n, 1)) * d
-        # Sideways from a foot on the axis, or around an end.
-        side = directions - np.outer(directions @ d, d) / max(d @ d, 1e-18)
-        side /= np.linalg.norm(side, axis=1, keepdims=True)
-        ends = np.where((directions @ d > 0.0)[:, None], shape.p1, shape.p0) + shape.radius * directions
-        return np.where((rng.uniform(size=n) < 0.7)[:, None], feet + shape.radius * side, ends)
-    normals, offsets, corners = half_spaces(shape)
-    inner = corners.mean(axis=0)
-    reach = (offsets - normals @ inner) / np.maximum(directions @ normals.T, 1e-12)
-    return inner + reach.min(axis=1)[:, None] * directions
+from xdex_drake.hand.spheres import BULGE, SCALLOP, fit_spheres
 
 
 def gap(spheres: Array, points: Array) -> Array:
@@ -45,7 +26,7 @@ def test_capsule_spheres_follow_the_axis() -> None:
     assert spheres[0, :3] == pytest.approx(capsule.p0)
     assert spheres[-1, :3] == pytest.approx(capsule.p1)
     assert (spheres[:, 3] == 0.008).all()
-    assert gap(spheres, surface(capsule, np.random.default_rng(0))).max() <= SCALLOP + 1e-9
+    assert gap(spheres, capsule.sample(4000, np.random.default_rng(0))).max() <= SCALLOP + 1e-9
 
 
 def test_degenerate_capsule_is_one_sphere() -> None:
@@ -86,11 +67,11 @@ def test_spheres_cover_each_link_and_hardly_bulge(name) -> None:
     for link in hand.links:
         covered = []
         for shape in link.geometry:
-            points = surface(shape, rng, 1500)
+            points = shape.sample(1500, rng)
             # Points within another shape of the link need no cover.
             others = [other for other in link.geometry if other is not shape]
             for other in others:
-                points = points[signed_distance(other, points) > 0.0]
+                points = points[other.signed_distance(points) > 0.0]
             distances = gap(link.spheres, points)
             if isinstance(shape, Capsule | Sphere):
                 assert distances.max(initial=0.0) < 1e-3, link.name
@@ -98,8 +79,8 @@ def test_spheres_cover_each_link_and_hardly_bulge(name) -> None:
         if covered:
             assert np.concatenate(covered).mean() >= 0.95, link.name
         for x, y, z, r in link.spheres:
-            around = surface(Sphere(np.array([x, y, z]), r), rng, 300)
-            outside = np.min([signed_distance(shape, around) for shape in link.geometry], axis=0)
+            around = Sphere(np.array([x, y, z]), r).sample(300, rng)
+            outside = np.min([shape.signed_distance(around) for shape in link.geometry], axis=0)
             # Spheres that span several parts are checked on many directions, not on all.
             assert outside.max() <= (3e-3 if name == "imported" else BULGE + 1e-9), link.name
 
@@ -109,22 +90,14 @@ def test_a_link_of_many_parts_needs_no_more_spheres_than_its_parts() -> None:
     together = fit_spheres(plates)
     assert 8 <= len(together) < sum(len(fit_spheres((plate,))) for plate in plates)
     whole = Box(np.array([0.02, 0.11, 0.06]), np.zeros(3))
-    assert (gap(together, surface(whole, np.random.default_rng(0))) < 3e-3).mean() > 0.95
+    assert (gap(together, whole.sample(4000, np.random.default_rng(0))) < 3e-3).mean() > 0.95
 
 
 def test_hull_is_covered_like_a_box() -> None:
     box = Box(np.array([0.03, 0.05, 0.07]), np.array([0.01, 0.0, 0.0]))
-    corners = half_spaces(box)[2]
-    hull = Convex(corners)
-    distances = gap(fit_spheres((hull,)), surface(hull, np.random.default_rng(0)))
+    hull = Convex(box.corners())
+    distances = gap(fit_spheres((hull,)), hull.sample(4000, np.random.default_rng(0)))
     assert (distances < 3e-3).mean() > 0.95
-
-
-def test_signed_distance_of_a_box() -> None:
-    R = Rotation.from_rotvec([0.1, 0.5, -0.3]).as_matrix()
-    box = Box(np.array([0.2, 0.4, 0.6]), np.array([1.0, 0.0, 0.0]), R)
-    points = np.array([[0.3, 0.0, 0.0], [0.0, 0.0, 0.0], [0.2, 0.3, 0.3]]) @ R.T + box.p_LG
-    assert signed_distance(box, points) == pytest.approx([0.2, -0.1, np.hypot(0.1, 0.1)])
 
 
 def test_capsule_inertia_agrees_with_drake() -> None:
@@ -140,7 +113,7 @@ def test_capsule_inertia_agrees_with_drake() -> None:
 def test_box_and_hull_inertia_agree() -> None:
     R = Rotation.from_rotvec([0.4, -0.2, 0.9]).as_matrix()
     box = Box(np.array([0.02, 0.03, 0.05]), np.array([0.1, 0.0, -0.1]), R)
-    hull = Convex(half_spaces(box)[2])
+    hull = Convex(box.corners())
     a, b = link_inertia((box,)), link_inertia((hull,))
     assert a[0] == pytest.approx(DENSITY * 0.02 * 0.03 * 0.05)
     assert b[0] == pytest.approx(a[0])

@@ -89,7 +89,7 @@ def test_a_problem_is_solved_from_the_wheel(installed, tmp_path):
     where = "from xdex_drake.data_files import data_folder; print(data_folder('problems'))"
     problem = Path(run(installed / "python", "-c", where, cwd=tmp_path).strip()) / PROBLEM
     run(installed / "xdex", "solve", problem, "--out", "grasp.parquet", cwd=tmp_path)
-    read = "from xdex_drake.dataset.store import read_grasps; print(len(read_grasps('grasp.parquet')))"
+    read = "from xdex_drake.dataset.grasp_file import read_grasps; print(len(read_grasps('grasp.parquet')))"
     assert int(run(installed / "python", "-c", read, cwd=tmp_path)) >= 1
 
 
@@ -109,7 +109,7 @@ print(json.dumps({"seconds": time.perf_counter() - begin, "modules": sorted(sys.
 def test_data_sets_are_read_without_torch(tmp_path):
     code = """
 import json, sys
-import xdex_drake.dataset.executors, xdex_drake.dataset.schema, xdex_drake.dataset.store
+import xdex_drake.jobs.processes, xdex_drake.dataset.schema, xdex_drake.dataset.grasp_file
 print(json.dumps(sorted(sys.modules)))
 """
     modules = set(json.loads(run(sys.executable, "-c", code, cwd=tmp_path)))

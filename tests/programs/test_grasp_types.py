@@ -7,17 +7,17 @@ import pytest
 
 from xdex_drake.errors import ProblemFileError
 from xdex_drake.hand.library import load_hand
+from xdex_drake.problems.files import load_problem
 from xdex_drake.programs.force_closure import PolishSettings, polish_program, wishes
 from xdex_drake.programs.grasp_types import (
     GraspType,
     approach_axis,
-    approach_cost,
     contact_slots,
     random_contact_sets,
-    spread_cost,
 )
-from xdex_drake.programs.problems import load_problem
 from xdex_drake.programs.search import SearchSettings, evaluate, sample_starts, search, search_problem, turned_towards
+from xdex_drake.programs.terms.approach import approach_cost
+from xdex_drake.programs.terms.spread import spread_cost
 
 ABOVE = (0.0, 0.0, -1.0)
 
@@ -78,7 +78,7 @@ def test_the_search_obeys(kind, allegro, can_scene):
         *_start(found),
         found.fingers[0],
         settings=PolishSettings(),
-        extra_costs=wishes(allegro, settings),
+        extra_costs=wishes(settings),
     )
     assert {"approach", "spread"} <= {cost.name for cost in program.costs}
     links = [allegro.links[link].name for link in program.contacts.links]
@@ -97,11 +97,11 @@ def test_the_gradient_of_the_wishes_agrees_with_differences(allegro, can_scene):
 
     import torch
 
-    from tests.programs.test_search import Ball
+    from tests.programs.test_search import BY_NORMALS, Ball
     from xdex_drake.hand.batched_kinematics import rotation_step
 
     settings = replace(
-        SearchSettings(), estimator="normals", grasp_type="power", approach=(1.0, 0.0, -1.0), spread=0.08, contacts=3
+        SearchSettings(), terms=BY_NORMALS, grasp_type="power", approach=(1.0, 0.0, -1.0), spread=0.08, contacts=3
     )
     problem = search_problem(allegro, can_scene, settings, dtype=torch.float64)
     problem = replace(problem, grid=Ball(can_scene.object.p_OOcm, 0.04))
@@ -126,7 +126,7 @@ def test_the_gradient_of_the_wishes_agrees_with_differences(allegro, can_scene):
 def test_costs_in_a_program_agree_with_differences(allegro, can_scene):
     found = search(allegro, can_scene, count=4, seed=1, settings=replace(SearchSettings(), iterations=40))
     program = polish_program(allegro, can_scene, *_start(found), found.fingers[0])
-    program.add(approach_cost(allegro, (1.0, 0.2, 0.0)))
+    program.add(approach_cost((1.0, 0.2, 0.0)))
     program.add(spread_cost(0.1))
     rng = np.random.default_rng(0)
     point = program.start

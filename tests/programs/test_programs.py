@@ -9,9 +9,15 @@ from xdex_drake.errors import ConfigError
 from xdex_drake.hand.batched_kinematics import BatchedHand
 from xdex_drake.hand.kinematics import Configuration, forward_kinematics
 from xdex_drake.hand.library import load_hand
-from xdex_drake.programs.force_closure import PolishSettings, force_closure_program, program_of_candidate
+from xdex_drake.programs.force_closure import (
+    PolishSettings,
+    force_closure_program,
+    polish_program,
+    program_of_candidate,
+)
 from xdex_drake.programs.inverse_kinematics import PointTargets, _LinkMoments, keypoint_targets, solve_points
 from xdex_drake.programs.link_pose_ik import link_pose_ik
+from xdex_drake.programs.margin_cost import margin_cost
 from xdex_drake.programs.retargeting import corresponding_fingers
 from xdex_drake.programs.search import random_rotations, search
 from xdex_drake.programs.solve import judge, solve
@@ -31,6 +37,37 @@ def solved(allegro, can_scene, found):
         if result.success:
             return row, result
     pytest.fail("none of ten candidates could be polished")
+
+
+def again(result, costs=()):
+    """The program that starts from a solved one's point."""
+    k, contacts = result.point.k, result.point.contacts
+    fingers = np.isin(np.arange(len(k.hand.fingers)), contacts.fingers)
+    return polish_program(k.hand, result.point.scene, k.X_WH, k.q, fingers, extra_costs=costs)
+
+
+def test_the_margin_cost_agrees_with_differences(solved):
+    cost, point = margin_cost(weight=2.0), solved[1].point
+    rng, h = np.random.default_rng(1), 1e-6
+    for _ in range(4):
+        step = rng.normal(size=point.size)
+        difference = (cost.value(point.moved(h * step)) - cost.value(point.moved(-h * step))) / (2.0 * h)
+        # A point's Jacobian takes distance and normal from a grid, between which there is a percent.
+        assert cost.gradient(point) @ step == pytest.approx(difference, rel=3e-2)
+
+
+def test_the_margin_cost_raises_margins(allegro, can_scene, found):
+    tried = risen = 0
+    for row in range(8):
+        first = solve(program_of_candidate(allegro, can_scene, found, row))
+        if not first.success:
+            continue
+        cost = margin_cost(least=6.0)
+        firmer = solve(again(first, (cost,)))
+        tried += 1
+        before, after = (6.0 - cost.at(result.point)[0].max() for result in (first, firmer))
+        risen += firmer.success and after > 1.1 * before
+    assert tried >= 3 and risen >= 0.7 * tried
 
 
 def test_jacobians_of_all_blocks_agree_with_differences(allegro, can_scene, found):

@@ -9,7 +9,10 @@ import torch
 
 from xdex_drake.hand.batched_kinematics import rotation_step
 from xdex_drake.hand.library import load_hand
-from xdex_drake.programs.search import SearchSettings, TorchGrid, evaluate, sample_starts, search, search_problem
+from xdex_drake.programs.search import SearchSettings, evaluate, sample_starts, search, search_problem
+from xdex_drake.programs.terms import EQ_1
+from xdex_drake.programs.terms.force_closure import NormalClosure
+from xdex_drake.scene.grid_torch import TorchGrid
 
 
 def test_torch_grid_agrees_with_numpy(can_scene):
@@ -28,6 +31,10 @@ def test_torch_grid_agrees_with_numpy(can_scene):
         differences = (grid.smooth(points + step)[1] - grid.smooth(points - step)[1]) / (2 * h)
         ok = np.abs(differences - H[:, :, axis]).max(axis=1) < 1e-2 * (1.0 + np.abs(H[:, :, axis]).max(axis=1))
         assert ok.mean() > 0.98  # a step may cross the border of a cell
+
+
+BY_NORMALS = (NormalClosure(), *EQ_1[1:])
+"""Eq. (1) by the paper's estimator: forces that turn with the surface, so that the whole energy can be differenced."""
 
 
 class Ball:
@@ -50,9 +57,8 @@ class Ball:
 
 @pytest.mark.parametrize("name", ["allegro", "ability"])
 def test_the_gradient_agrees_with_differences(name, can_scene):
-    # Normals as forces (the paper's estimator) turn with the surface, so the whole energy can be differenced.
     hand = load_hand(name)
-    problem = search_problem(hand, can_scene, replace(SearchSettings(), estimator="normals"), dtype=torch.float64)
+    problem = search_problem(hand, can_scene, replace(SearchSettings(), terms=BY_NORMALS), dtype=torch.float64)
     problem = replace(problem, grid=Ball(can_scene.object.p_OOcm, 0.04))
     state = sample_starts(problem, hand, can_scene, 8, 0)
     # Away from the kink at the limits, where starts are clipped to.

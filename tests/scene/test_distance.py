@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from xdex_drake.scene.convex_parts import convex_hull, grow
 from xdex_drake.scene.distance import ExactDistance, build_grid, sample_surface, union_surface
+from xdex_drake.scene.hulls import convex_hull, grow
 
 HALF = np.array([0.03, 0.02, 0.04])
 
@@ -86,6 +86,17 @@ def test_hull_keeps_within_its_tolerance_and_limit():
         worst = ExactDistance(*part, parts=[part]).query(np.asarray(ball)).distance.max()
         assert worst <= (tolerance or 4e-3) + 1e-9
         assert trimesh.Trimesh(*part).volume > 0.0
+
+
+def test_bounds_grow_beyond_the_grid_and_never_exceed_the_distance(box_part):
+    exact = ExactDistance(*box_part, parts=[box_part])
+    grid = build_grid(exact)
+    points = np.random.default_rng(1).uniform(-0.4, 0.4, (4000, 3))
+    bound, truth = grid.lower_bounds(points), box_distance(points, HALF)
+    assert (bound <= truth + 0.15 * grid.spacing).all()
+    assert (bound >= 0.7 * truth - grid.spacing).all(), "a bound that stays at the border is no use far off"
+    inside = ((points > grid.origin) & (points < grid.upper)).all(axis=1)
+    np.testing.assert_allclose(bound[inside], grid.interpolate(points[inside])[0], atol=1e-6)
 
 
 def test_grid_follows_the_exact_distance(box_part):

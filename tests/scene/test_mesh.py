@@ -8,10 +8,10 @@ import trimesh
 
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.scene import split_process
-from xdex_drake.scene.convex_parts import split
 from xdex_drake.scene.mesh import MANY_TRIANGLES, WALL_M, clean_mesh, guess_scale, read_mesh
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.split_process import COARSELY, split_in_process
+from xdex_drake.scene.splitting import split
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 

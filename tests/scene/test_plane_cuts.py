@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from xdex_drake.scene.convex_parts import TARGET_BULGE, fit, refine
 from xdex_drake.scene.distance import union_surface
 from xdex_drake.scene.plane_cuts import Bulge, split_by_planes
+from xdex_drake.scene.splitting import TARGET_BULGE, fit, refine
 
 
 def arrays(solid):

@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from xdex_drake.contact.certificate import check_certificate, contact_geometry
-from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
+from xdex_drake.contact import HeldObject, check_certificate
+from xdex_drake.grasping.approach import straight_approach
+from xdex_drake.grasping.pregrasp import CLEARANCE, pregrasp
+from xdex_drake.grasping.squeeze import RULE_CLOSING, squeeze, squeeze_by_rule
+from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
+from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, shared_rig, simulate_lift, targets
-from xdex_drake.simulation.pregrasp import (
-    CLEARANCE,
-    RULE_CLOSING,
-    pregrasp,
-    squeeze_by_rule,
-    squeeze_targets,
-    straight_approach,
-)
+from xdex_drake.simulation.lift import lift, lift_rig, shared_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT
+from xdex_drake.simulation.trajectory import target_rates, targets
+from xdex_drake.simulation.verdict import FAILURE_REASONS
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +94,7 @@ def test_a_hand_that_never_touches_never_lifts(rig, grasps):
 
 
 def test_a_pregrasp_in_contact_is_named(rig, grasps):
-    start = replace(grasps[0], q_pregrasp=grasps[0].q_squeeze, X_WH_pregrasp=grasps[0].X_WH)
+    start = replace(grasps[0], q_pregrasp=grasps[0].q + grasps[0].tau_squeeze, X_WH_pregrasp=grasps[0].X_WH)
     assert simulate_lift(rig, start).failure_reason == "pregrasp_in_contact"
 
 
@@ -115,7 +113,9 @@ def test_targets_start_at_the_pregrasp_and_end_at_the_squeeze(grasps):
     q, offset = targets(grasps[0], LIFT, 0.0)
     assert np.allclose(q, grasps[0].q_pregrasp)
     q, offset = targets(grasps[0], LIFT, LIFT.duration_s)
-    assert np.allclose(q, grasps[0].q_squeeze) and np.allclose(offset, [0.0, 0.0, LIFT.rise_m])
+    assert np.allclose(q, grasps[0].q + grasps[0].tau_squeeze / LIFT.plant.kp) and np.allclose(
+        offset, [0.0, 0.0, LIFT.rise_m]
+    )
 
 
 def test_a_shared_rig_gives_the_same_numbers(grasps, verdicts, hand, scene):
@@ -140,9 +140,12 @@ def test_the_sources_play_the_targets(rig, grasps):
             played = source.get_output_port().Eval(source.GetMyContextFromRoot(context))
             np.testing.assert_allclose(played[: len(value)], value, atol=1e-12)
             # Rates are those of the targets while the hand closes; squeeze and rise are said to stand still.
-            ahead = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step) + 1e-6)[source is rig.carriage_source]
+            which = source is rig.carriage_source
+            ahead = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step) + 1e-6)[which]
             rate = (ahead - value) / 1e-6 if t < LIFT.close_s - 1e-6 else np.zeros(len(value))
             np.testing.assert_allclose(played[len(value) :], rate, atol=1e-4)
+            told = target_rates(grasps[0], LIFT, max(t, LIFT.plant.time_step))[which]
+            np.testing.assert_allclose(told, rate, atol=1e-4)
 
 
 def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, scene):
@@ -160,8 +163,19 @@ def test_every_pregrasp_is_clear_and_reached_by_a_straight_way(grasps, hand, sce
             assert gaps.min() >= (CLEARANCE if share == 0.0 else 1.9e-3)
 
 
+def test_large_spheres_pass_through_free_space(grasps, hand, scene):
+    links = tuple(
+        replace(link, spheres=np.column_stack([link.spheres[:, :3], np.full(len(link.spheres), 0.06)]))
+        for link in hand.links
+    )
+    swollen = replace(hand, links=links)
+    up = RigidTransform(grasps[0].X_WH.rotation(), scene.X_WO.translation() + np.array([0.0, 0.0, 0.6]))
+    way = straight_approach(swollen, scene, up, hand.q_rest)
+    assert way is not None and way.clearance > 0.1
+
+
 def test_a_hand_that_holds_the_object_has_no_straight_way(grasps, hand, scene):
-    assert straight_approach(hand, scene, grasps[0].X_WH, grasps[0].q_squeeze) is None
+    assert straight_approach(hand, scene, grasps[0].X_WH, grasps[0].q) is None
 
 
 def test_hydroelastic_contact_lifts_the_same_grasp(hand, scene, grasps, verdicts):
@@ -183,7 +197,7 @@ def pressing(grasp, hand, scene, factor):
     cp = pytest.importorskip("cvxpy")
     contacts = grasp.certificate.contacts
     p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
-    _, G = contact_geometry(p_OCs, n_OCs, scene.X_WO.rotation().matrix(), scene.object.p_OOcm)
+    G = HeldObject.of(scene).grasp_map(p_OCs, n_OCs).G
     load = scene.object.mass * (9.81 + 6.0 * LIFT.rise_m / LIFT.rise_s**2)
     f = cp.Variable((len(contacts), 3))
     scale = np.array([1e2, 1e2, 1e2, 1.0, 1.0, 1.0])
@@ -192,7 +206,7 @@ def pressing(grasp, hand, scene, factor):
     cp.Problem(cp.Minimize(cp.sum(f[:, 2])), [balance, *cones]).solve(solver="CLARABEL")
     pressed = tuple(replace(c, f_C=force) for c, force in zip(contacts, f.value, strict=True))
     other = replace(grasp, certificate=replace(grasp.certificate, contacts=pressed))
-    return replace(other, q_squeeze=squeeze_targets(hand, other, scene, LIFT.plant.kp))
+    return squeeze(hand, other, scene, LIFT.plant.kp)
 
 
 def test_a_hand_lifts_with_a_fifth_more_than_friction_needs_and_not_with_a_third_less(
@@ -207,16 +221,19 @@ def test_a_hand_lifts_with_a_fifth_more_than_friction_needs_and_not_with_a_third
 def test_grasps_without_a_certificate_are_squeezed_by_one_rule(rig, hand, scene, grasps, verdicts):
     lifted = 0
     for grasp in grasps[:8]:
-        q = squeeze_by_rule(hand, replace(grasp, certificate=None, q_squeeze=None), scene, LIFT.plant.kp)
-        assert np.all(np.abs(q - grasp.q) * LIFT.plant.kp <= hand.effort + 1e-9)
-        lifted += simulate_lift(rig, replace(grasp, certificate=None, q_squeeze=q)).success
+        bare = replace(grasp, certificate=None, q_squeeze=None, tau_squeeze=None)
+        by_rule = squeeze_by_rule(hand, bare, scene, LIFT.plant.kp)
+        assert np.all(np.abs(by_rule.tau_squeeze) <= hand.effort)
+        lifted += simulate_lift(rig, by_rule).success
     assert lifted >= sum(v.success for v in verdicts[:8]) - 2
 
 
 def test_a_hand_away_from_the_object_closes_by_a_tenth_of_its_range(hand, scene, grasps):
     grasp = grasps[0]
     aside = RigidTransform(grasp.X_WH.rotation(), grasp.X_WH.translation() + np.array([0.0, 0.0, 0.5]))
-    step = squeeze_by_rule(hand, replace(grasp, X_WH=aside), scene, LIFT.plant.kp) - grasp.q
+    squeezed = squeeze_by_rule(hand, replace(grasp, X_WH=aside), scene, LIFT.plant.kp)
+    step = squeezed.q_squeeze - grasp.q
+    np.testing.assert_allclose(squeezed.tau_squeeze, LIFT.plant.kp * step, atol=1e-12)
     low, high = hand.limits
     closed = np.sign(grasp.q - grasp.q_pregrasp)
     assert np.all(step * closed >= 0.0) and np.all(np.abs(step) <= RULE_CLOSING * (high - low) + 1e-12)

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from xdex_drake.dataset.synthesis import SynthesisSettings, Tally, candidates_of_batch
 from xdex_drake.errors import ConfigError
+from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
+from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-from xdex_drake.simulation.lift import FAILURE_REASONS, lift, lift_rig, simulate_lift, targets
+from xdex_drake.simulation.lift import lift, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import BENCH_LIFT, FROGGER_LIFT, LIFT, PROTOCOLS, find_protocol, protocol_scene
 from xdex_drake.simulation.robust import RobustSettings, displaced, robust_lift
+from xdex_drake.simulation.trajectory import targets
+from xdex_drake.simulation.verdict import FAILURE_REASONS
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +37,7 @@ def grasps(hand, scene):
 
 def test_protocols_are_found_by_name():
     assert find_protocol("lift-0.2/2tips") is LIFT
-    assert list(PROTOCOLS) == ["lift-0.2/2tips", "frogger-lift", "bench-lift"]
+    assert list(PROTOCOLS) == ["lift-0.2/2tips", "hold", "frogger-lift", "bench-lift"]
     with pytest.raises(ConfigError, match="did you mean bench-lift"):
         find_protocol("bench-lft")
     with pytest.raises(ConfigError, match="use one of"):

@@ -47,6 +47,7 @@ def grasp(hand, scene):
         X_WH_pregrasp=X_WH,
         q_pregrasp=q,
         q_squeeze=q,
+        tau_squeeze=np.zeros_like(q),
         grasp_id="allegro-can-0",
         penetration_parts_m=2.5e-4,
         penetration_mesh_m=3e-4,

@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from xdex_drake.dataset.hand_sets import hand_row
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.library import list_hands, load_hand
+from xdex_drake.jobs.hands import hand_row
 from xdex_drake.visualization.hand_browser import browser_page
 from xdex_drake.visualization.hand_sets import hands_sheet, statistics_figure
 from xdex_drake.visualization.pictures import can_render

@@ -150,6 +150,6 @@ def test_bad_input_is_told(grasp, hand, scene):
     with pytest.raises(ConfigError, match="as many of each"):
         grasp_page([], [], [])
     with pytest.raises(ConfigError, match="no pre-grasp or squeeze"):
-        replay_lift(replace(grasp, q_squeeze=None), hand, scene)
+        replay_lift(replace(grasp, tau_squeeze=None), hand, scene)
     with pytest.raises(ConfigError, match="no grasp"):
         view_live([], [], [], replay=True)

@@ -1,6 +1,7 @@
 import base64
 import io
 import re
+from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -10,6 +11,7 @@ from PIL import Image
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Lift
+from xdex_drake.grasping.tally import Tally
 from xdex_drake.visualization import report
 from xdex_drake.visualization.report import ReportGrasp, ReportRow, ReportSection, show_grasp, write_report
 
@@ -50,8 +52,10 @@ def sections(grasp):
             "Found",
             "Grasps.",
             [
-                ReportRow("allegro", "can", 40, 12, 9, 31.25, {"cone": 28}, {"not_grasped": 3}),
-                ReportRow(HOSTILE, HOSTILE, 1, 0, 0, 0.5, {HOSTILE: 1}),
+                ReportRow(
+                    "allegro", "can", Tally(40, 12, 9, 9, Counter(cone=28), Counter(not_grasped=3), seconds=31.25)
+                ),
+                ReportRow(HOSTILE, HOSTILE, Tally(1, rejected=Counter({HOSTILE: 1}), seconds=0.5)),
             ],
             [
                 ReportGrasp(lifted, "Allegro", picture, "<html>one</html>"),
@@ -131,7 +135,7 @@ def test_folder_that_cannot_be_written_is_told(tmp_path, sections):
 
 def test_grasp_is_shown_without_pictures_where_none_can_be_made(monkeypatch, grasp, hand, scene, tmp_path):
     monkeypatch.setattr(report, "can_render", lambda: False)
-    shown = show_grasp(replace(grasp, q_squeeze=None), hand, scene, note="as it is")
+    shown = show_grasp(replace(grasp, tau_squeeze=None), hand, scene, note="as it is")
     assert shown.picture is None
     assert shown.replay == ""
     text = write_report(tmp_path, [ReportSection("one", grasps=[shown])]).read_text()

@@ -42,7 +42,7 @@ COMMANDS: dict[str, Entry] = {
     "hand show": Entry("hands", "HandShow", "one hand: joints, fingers, where its facts come from"),
     "hand view": Entry("hands", "HandView", "one hand in Meshcat"),
     "hand import": Entry("hands", "HandImport", "a hand from a URDF, MJCF or SDFormat file, with no annotation"),
-    "hand export": Entry("hands", "HandExport", "a hand as a URDF file with meshes, for other tools"),
+    "hand export": Entry("hands", "HandExport", "a hand as a URDF or MJCF file with meshes, for other tools"),
     "hand mirror": Entry("hands", "HandMirror", "the left hand of a right one"),
     "hand generate": Entry("hand_sets", "HandGenerate", "a thousand hands: human ones and variations of robot hands"),
     "hand stats": Entry("hand_sets", "HandStats", "count a folder of hands, and picture it"),

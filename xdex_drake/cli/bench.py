@@ -21,7 +21,7 @@ from xdex_drake.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from xdex_drake.evaluation.bench import Watch
+    from xdex_drake.bench.watch import Watch
 
 HANDS = ("allegro", "shadow", "ability", "schunk_svh", "inspire")
 
@@ -69,9 +69,9 @@ class Bench:
         check_writable(self.out.with_suffix(".svg"))
         import torch
 
+        from xdex_drake.bench.problems import profile_picture
+        from xdex_drake.bench.watch import Watch, content, picture
         from xdex_drake.cli.show import write_text
-        from xdex_drake.evaluation.bench import Watch, content, picture
-        from xdex_drake.evaluation.bench_problems import profile_picture
 
         torch.set_num_threads(1)
         conditions = {"hand": self.hand, "object": self.object, "repeats": self.repeats}
@@ -113,7 +113,7 @@ def _print(name: str, watch: Watch) -> None:
 
 
 def _force_closure(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_force_closure import CANDIDATES, bench_force_closure
+    from xdex_drake.bench.force_closure import CANDIDATES, bench_force_closure
     from xdex_drake.hand.library import load_hand
 
     hand = load_hand(command.hand)
@@ -122,14 +122,14 @@ def _force_closure(command: Bench, watch: Watch) -> None:
 
 
 def _wrench(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_wrench import bench_wrench
+    from xdex_drake.bench.wrench import bench_wrench
 
     with progress(3 * command.repeats, "wrench") as bar:
         bench_wrench(watch, repeats=command.repeats, seed=command.seed, tick=bar.update)
 
 
 def _retargeting(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_retargeting import bench_retargeting
+    from xdex_drake.bench.retargeting import bench_retargeting
     from xdex_drake.hand.library import load_hand
     from xdex_drake.scene.object import load_object
     from xdex_drake.scene.tabletop import make_scene
@@ -141,7 +141,7 @@ def _retargeting(command: Bench, watch: Watch) -> None:
 
 
 def _ik(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_ik import bench_ik
+    from xdex_drake.bench.ik import bench_ik
     from xdex_drake.hand.library import load_hand
 
     hands, repeats = tuple(load_hand(name) for name in HANDS), max(1, command.repeats // 10)
@@ -150,8 +150,8 @@ def _ik(command: Bench, watch: Watch) -> None:
 
 
 def _problems(command: Bench, watch: Watch) -> None:
-    from xdex_drake.evaluation.bench_problems import bench_problems
-    from xdex_drake.programs.problems import list_problems
+    from xdex_drake.bench.problems import bench_problems
+    from xdex_drake.problems.files import list_problems
 
     names, starts = list_problems(), max(1, command.repeats // 10)
     with progress(len(names), "problems") as bar:

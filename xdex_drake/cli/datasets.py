@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
-from xdex_drake.cli.output import check_writable, counts, facts, keeping_finished_work, one_thread, progress, table
+from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, one_thread, progress, table
 
 if TYPE_CHECKING:
-    from xdex_drake.dataset.executors import UnitResult
+    from xdex_drake.jobs.processes import UnitResult
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class DatasetGenerate:
     def run(self) -> int:
         """Generates, then tells what the folder holds."""
         one_thread()
-        from xdex_drake.dataset.generation import DatasetConfig, generate, plan
-        from xdex_drake.dataset.store import completed_units
+        from xdex_drake.dataset.folder import completed_units
         from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.pairs import DatasetConfig, generate, plan
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
@@ -99,19 +100,10 @@ class DatasetVerify:
 
     def run(self) -> int:
         """Prints what was checked and everything that is wrong; exit status 1 where something is."""
-        from xdex_drake.dataset.store import verify
-        from xdex_drake.grasp import Grasp
+        from xdex_drake.dataset.verify import verify
         from xdex_drake.typed_yaml import to_plain
 
-        def recheck(grasp: Grasp) -> str:
-            from xdex_drake.contact.certificate import check_certificate
-
-            if grasp.certificate is None:
-                return "it has no certificate"
-            residuals = check_certificate(grasp.certificate)
-            return "" if residuals.passes() else f"its certificate does not hold: {residuals}"
-
-        report = verify(self.folder, recheck=recheck)
+        report = verify(self.folder)
         if self.json:
             print(json.dumps(to_plain(report), indent=1))
             return 0 if report.ok else 1
@@ -155,7 +147,7 @@ class Train:
 
     def run(self) -> int:
         """Trains, prints what was done."""
-        from xdex_drake.model.training import TrainConfig, train
+        from xdex_drake.learning.training import TrainConfig, train
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = TrainConfig() if self.config is None else read_typed_yaml(self.config, TrainConfig)
@@ -165,7 +157,7 @@ class Train:
             config = replace(config, minutes=self.minutes)
         if self.print_config:
             return _print_yaml(config)
-        from xdex_drake.model.training_data import training_set_from_dataset
+        from xdex_drake.learning.samples import training_set_from_dataset
 
         check_writable(self.out / "model.safetensors")
         report = train(config, training_set_from_dataset(self.data), self.out)
@@ -192,7 +184,8 @@ def _print_yaml(config: object) -> int:
 
 def _print_info(folder: Path) -> int:
     """Prints what a data set holds; returns the number of its rows."""
-    from xdex_drake.dataset.store import info
+    from xdex_drake.dataset.summary import info
+    from xdex_drake.grasping.tally import counted
 
     summary = info(folder)
     print(
@@ -202,7 +195,7 @@ def _print_info(folder: Path) -> int:
                 ("grasps", summary.rows),
                 ("lifted", summary.successes),
                 ("source grasps", summary.sources),
-                ("lifts failed by", counts(summary.failure_reasons)),
+                ("lifts failed by", counted(Counter(summary.failure_reasons))),
                 ("seconds of work", f"{summary.seconds:.0f}"),
                 ("size [MB]", f"{summary.bytes / 1e6:.2f}"),
             ]

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
 from xdex_drake.cli.output import (
     check_output_file,
-    counts,
     facts,
     keeping_finished_work,
     one_thread,
@@ -22,7 +22,8 @@ from xdex_drake.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from xdex_drake.grasp import Grasp
+    from xdex_drake.dataset.files import StoredGrasp
+    from xdex_drake.grasp import Grasp, Lift
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,9 @@ class GraspCommand:
     def run(self) -> int:
         """Makes the grasps, writes them, prints the closing table."""
         one_thread()
-        from xdex_drake.dataset.parallel import GraspRequest, RequestTally, synthesize_batches
         from xdex_drake.errors import ConfigError
+        from xdex_drake.grasping.tally import Tally, counted
+        from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
 
         for name in ("count", "workers"):
             if getattr(self, name) < 1:
@@ -83,6 +85,7 @@ class GraspCommand:
         from xdex_drake.dataset.files import save_grasps
         from xdex_drake.hand.library import load_hand
         from xdex_drake.programs.obstacles import find_obstacles, sizes
+        from xdex_drake.scene.facts import SceneFacts
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
 
@@ -95,10 +98,8 @@ class GraspCommand:
             print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
             return 1
         preparation = time.perf_counter() - begin
-        request = GraspRequest(
-            self.hand, self.object, model.scale, self.mass, self.friction, self.scene_seed, self.seed
-        )
-        tally = RequestTally()
+        request = GraspRequest(self.hand, SceneFacts.of(scene), self.seed)
+        tally, batches_done = Tally(), 0
         kept: list[Grasp] = []
         lifted = 0
         # One or two grasps are the work of one batch.
@@ -116,12 +117,12 @@ class GraspCommand:
                         lifted += 1
                         bar.update()
                 bar.set_postfix(tried=tally.tried, certified=tally.certified)
-                if tally.batches == 1 and not tally.certified:
+                batches_done += 1
+                if batches_done == 1 and not tally.certified:
                     told = f"none of the first {tally.tried} candidates is a grasp; {_why(tally.rejected)}"
                     bar.write(f"{told}; going on for up to {self.time_limit:g} s", file=sys.stderr)
         if kept:
             save_grasps(self.out, kept, hand, scene, hand_path=self.hand if Path(self.hand).suffix else None)
-        rate = f"{100.0 * tally.lifted / tally.certified:.0f} %" if tally.certified else "-"
         print(
             facts(
                 [
@@ -130,12 +131,12 @@ class GraspCommand:
                     ("tried", tally.tried),
                     ("certified", tally.certified),
                     ("lifted", tally.lifted),
-                    ("lifted of certified", rate),
+                    ("lifted of certified", tally.rate),
                     ("seconds", f"{tally.seconds:.1f}"),
                     ("preparation seconds", f"{preparation:.1f}"),
-                    ("rejected by", counts(tally.rejected)),
-                    ("failed by", counts(tally.failed)),
-                    *([("lost batches", len(tally.crashed))] if tally.crashed else []),
+                    ("rejected by", counted(tally.rejected)),
+                    ("failed by", counted(tally.failed)),
+                    *([("lost batches", len(tally.lost))] if tally.lost else []),
                     ("written", f"{len(kept)} to {self.out}" if kept else "nothing"),
                 ]
             )
@@ -152,7 +153,7 @@ class GraspCommand:
 
 def _why(rejected: Mapping[str, int]) -> str:
     """What candidates were rejected for most often, in words."""
-    from xdex_drake.programs.obstacles import in_words
+    from xdex_drake.grasping.reasons import in_words
 
     most = max(rejected, key=lambda reason: rejected[reason], default="")
     return f"most often, {in_words(most)}" if most else "nothing was tried"
@@ -183,43 +184,30 @@ class Retarget:
         """Retargets, writes, prints a line a hand."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps, rows_of
-        from xdex_drake.dataset.parallel import RetargetUnit, in_order, run_retarget
-        from xdex_drake.dataset.store import write_grasps
+        from xdex_drake.dataset.files import hand_paths_entry
+        from xdex_drake.dataset.grasp_file import write_grasps
+        from xdex_drake.dataset.rows import rows_of
         from xdex_drake.errors import ConfigError
+        from xdex_drake.grasping.tally import Tally
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.jobs.stored import retarget_all, retarget_units
 
         if not self.to:
             raise ConfigError("--to names no hand; give at least one")
         targets = {target: load_hand(target) for target in self.to}
-        stored = load_grasps(self.file)
-        if not stored:
-            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
-        paths = hand_paths(self.file)
-        units = [
-            RetargetUnit(k, item.grasp, item.facts, paths.get(item.hand.name, item.hand.name), target)
-            for target in self.to
-            for k, item in enumerate(stored)
-        ]
+        stored = _grasps_of(self.file)
+        units = retarget_units(stored, self.to)
         rows = []
-        tallies = {target: [0, 0, 0, {}, {}, 0.0] for target in self.to}
+        tallies = {target: Tally() for target in self.to}
         begin = time.perf_counter()
         with keeping_finished_work() as interruption, progress(len(units), "retarget") as bar:
-            for unit, outcome in in_order(units, run_retarget, workers=max(1, self.workers)):
-                tally = tallies[unit.target]
-                tally[0] += 1
+            for unit, outcome in retarget_all(units, workers=max(1, self.workers)):
+                tallies[unit.target].add(outcome)
                 bar.update()
                 grasp = outcome.grasp
-                if grasp is None:
-                    tally[3][outcome.reason] = tally[3].get(outcome.reason, 0) + 1
+                if grasp is None or grasp.lift is None:
                     continue
-                tally[1] += 1
-                tally[5] += grasp.seconds
-                assert grasp.lift is not None
-                if grasp.lift.success:
-                    tally[2] += 1
-                else:
-                    tally[4][grasp.lift.failure_reason] = tally[4].get(grasp.lift.failure_reason, 0) + 1
+                tallies[unit.target].seconds += grasp.seconds
                 if grasp.lift.success or self.keep_failed:
                     item = stored[unit.index]
                     points = {item.grasp.grasp_id: item.row["object_point_O"]}
@@ -227,15 +215,11 @@ class Retarget:
         if rows:
             files = {hand.name: target for target, hand in targets.items() if Path(target).suffix}
             write_grasps(self.out, rows, metadata=hand_paths_entry(files))
-        lines = [
-            (target, tried, certified, lifted, seconds / max(1, certified), counts(rejected), counts(failed))
-            for target, (tried, certified, lifted, rejected, failed, seconds) in tallies.items()
-        ]
-        header = ("hand", "tried", "certified", "lifted", "s a grasp", "rejected by", "failed by")
-        print(table(lines, header))
+        lines = [(target, *t.row(), t.seconds / max(1, t.certified)) for target, t in tallies.items()]
+        print(table(lines, ("hand", "tried", "certified", "lifted", "rejected by", "failed by", "s a grasp")))
         print(f"{len(rows)} of {len(units)} written to {self.out}" if rows else "nothing written")
         print(f"{time.perf_counter() - begin:.1f} s")
-        return interruption.status(0 if any(line[3] for line in lines) else 1)
+        return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
 
 
 @dataclass(frozen=True)
@@ -244,17 +228,21 @@ class LiftCommand:
 
     Try `xdex lift grasps.parquet`; with the same library and protocol every verdict repeats. With `--robust 5` a lift
     succeeds where it does under five errors of the wrist's pose (up to 5 mm and 5 degrees), with 0.75 times the
-    friction, and with twice the mass.
+    friction, and with twice the mass. With `--protocol hold` the lifted object is held for two seconds and
+    pushed by its weight from six sides. `--simulator mujoco` plays the same protocol in MuJoCo, a second judge;
+    `--simulator drake --simulator mujoco` asks both and stores the verdicts of the first.
 
     Attributes:
-        file: A file of grasps with pre-grasp and squeeze targets.
-        protocol: Name of the protocol: lift-0.2/2tips, frogger-lift or bench-lift.
+        file: A file of grasps with pre-grasp and squeeze.
+        simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. May be given twice.
+        protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift or bench-lift.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
     """
 
     file: tyro.conf.Positional[Path]
+    simulator: tyro.conf.UseAppendAction[tuple[Literal["drake", "mujoco"], ...]] = ()
     protocol: str = "lift-0.2/2tips"
     robust: int = 0
     out: Path = Path("grasps_lifted.parquet")
@@ -264,52 +252,69 @@ class LiftCommand:
         """Lifts, writes, prints a line a hand and object."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, load_grasps
-        from xdex_drake.dataset.parallel import LiftUnit, in_order, lost_lift, run_lift
+        from xdex_drake.dataset.files import hand_paths, hand_paths_entry
+        from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.schema import lift_columns
-        from xdex_drake.dataset.store import write_grasps
         from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.stored import lift_all, lift_units
+        from xdex_drake.simulation.mujoco import mujoco_module
         from xdex_drake.simulation.protocol import find_protocol
 
-        find_protocol(self.protocol)
+        protocol = find_protocol(self.protocol)
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
-        stored = load_grasps(self.file)
-        if not stored:
-            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
-        unready = [item.grasp.grasp_id for item in stored if item.grasp.q_squeeze is None]
+        stored = _grasps_of(self.file)
+        unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:
-            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze targets; make it with `xdex grasp`")
-        paths = hand_paths(self.file)
-        units = [
-            LiftUnit(
-                k,
-                item.grasp,
-                item.facts,
-                paths.get(item.hand.name, item.hand.name),
-                protocol=self.protocol,
-                robust=self.robust,
-            )
-            for k, item in enumerate(stored)
-        ]
-        # Lifts of one hand and scene in a row, which share a plant.
-        units.sort(key=lambda unit: (unit.hand, unit.scene.scene_id))
-        rows = {}
-        tallies: dict[tuple[str, str], list] = {}
+            raise ConfigError(f"{self.file}: grasp {unready[0]} has no squeeze; make it with `xdex grasp`")
+        simulators = tuple(dict.fromkeys(self.simulator)) or ("drake",)
+        if "mujoco" in simulators:
+            mujoco_module()
+        units = lift_units(stored, protocol=self.protocol, robust=self.robust, simulators=simulators)
+        verdicts: dict[str, dict[int, Lift]] = {simulator: {} for simulator in simulators}
         with keeping_finished_work() as interruption, progress(len(units), "lift") as bar:
-            for unit, verdict in in_order(units, run_lift, workers=max(1, self.workers), lost=lost_lift):
-                row = stored[unit.index].row
-                tally = tallies.setdefault((row["hand"], row["object"]), [0, 0, 0, {}])
-                tally[0] += 1
-                tally[1] += verdict.success
-                tally[2] += verdict.success == row["success"]
-                if not verdict.success:
-                    tally[3][verdict.failure_reason] = tally[3].get(verdict.failure_reason, 0) + 1
-                rows[unit.index] = {**row, **lift_columns(verdict)}
+            for unit, verdict in lift_all(units, workers=max(1, self.workers)):
+                verdicts[unit.simulator][unit.index] = verdict
                 bar.update()
+        first = verdicts[simulators[0]]
+        rows = [stored[k].row | lift_columns(first[k]) for k in sorted(first)]
         if rows:
-            write_grasps(self.out, [rows[k] for k in sorted(rows)], metadata=hand_paths_entry(paths))
-        lines = [(*key, n, good, same, counts(failed)) for key, (n, good, same, failed) in tallies.items()]
-        print(table(lines, ("hand", "object", "grasps", "lifted", "as before", "failed by")))
+            write_grasps(self.out, rows, metadata=hand_paths_entry(hand_paths(self.file)))
+        lines = [line for simulator in simulators for line in _lift_lines(stored, simulator, verdicts[simulator])]
+        header = ("hand", "object", "simulator", "grasps", "lifted", "held", "as before", "failed by")
+        if protocol.hold is None:  # Nothing is held then but what is lifted.
+            lines, header = [(*line[:5], *line[6:]) for line in lines], (*header[:5], *header[6:])
+        print(table(lines, header))
+        if len(simulators) > 1:
+            both = [k for k in sorted(first) if all(k in one for one in verdicts.values())]
+            same = sum(len({one[k].passed for one in verdicts.values()}) == 1 for k in both)
+            print(f"{' and '.join(simulators)} agree on {same} of {len(both)}")
         print(f"{len(rows)} written to {self.out}" if rows else "nothing written")
-        return interruption.status(0 if any(line[3] for line in lines) else 1)
+        return interruption.status(0 if any(lift.success for lift in first.values()) else 1)
+
+
+def _lift_lines(stored: Sequence[StoredGrasp], simulator: str, verdicts: Mapping[int, Lift]) -> list[tuple]:
+    """A line for each hand and object: grasps, lifted and held ones, verdicts as before, failure reasons."""
+    from xdex_drake.grasping.tally import Tally, counted
+
+    tallies: dict[tuple[str, str], Tally] = {}
+    same: Counter[tuple[str, str]] = Counter()
+    for k in sorted(verdicts):
+        row = stored[k].row
+        key = (row["hand"], row["object"])
+        tallies.setdefault(key, Tally()).add_lift(verdicts[k])
+        same[key] += verdicts[k].success == row["success"]
+    return [
+        (*key, simulator, t.simulated, t.lifted, t.held, same[key], counted(t.failed)) for key, t in tallies.items()
+    ]
+
+
+def _grasps_of(file: Path) -> list[StoredGrasp]:
+    """The grasps of a file, at least one."""
+    from xdex_drake.dataset.files import load_grasps
+    from xdex_drake.errors import ConfigError
+
+    stored = load_grasps(file)
+    if not stored:
+        raise ConfigError(f"{file}: holds no grasps; make some with `xdex grasp`")
+    return stored

@@ -24,7 +24,7 @@ from xdex_drake.whole_file import whole_file
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xdex_drake.dataset.hand_sets import HandRow
+    from xdex_drake.jobs.hands import HandRow
 
 Item = TypeVar("Item")
 
@@ -58,7 +58,7 @@ class HandGenerate:
         """Writes the folder, prints what is in it."""
         check_writable(self.out / "index.json")
         one_thread()
-        from xdex_drake.dataset.hand_sets import generate_hands
+        from xdex_drake.jobs.hands import generate_hands
 
         rows: list[HandRow] = []
         with keeping_finished_work() as interruption, progress(self.count, "hands") as bar:
@@ -100,7 +100,7 @@ class HandStats:
         for path in (self.out, self.sheet):
             if path is not None:
                 check_output_file(path, path.suffix.lower() if path.suffix.lower() in PICTURES else ".png")
-        from xdex_drake.dataset.hand_sets import read_hand_rows
+        from xdex_drake.jobs.hands import read_hand_rows
 
         rows = read_hand_rows(self.folder)
         _print_statistics(rows)
@@ -141,7 +141,7 @@ class HandCheck:
     def run(self) -> int:
         """Prints what is wrong; exit status 1 where something is."""
         one_thread()
-        from xdex_drake.dataset.hand_sets import check_hands
+        from xdex_drake.jobs.hands import check_hands
 
         names = _named(self.hands)
         with progress(len(names), "hands") as bar:
@@ -191,8 +191,8 @@ class HandBrowse:
 
 def _named(hands: Sequence[str]) -> list[str]:
     """Names and paths, folders as the files in them."""
-    from xdex_drake.dataset.hand_sets import hand_files
     from xdex_drake.errors import ConfigError
+    from xdex_drake.jobs.hands import hand_files
 
     names = []
     for hand in hands:

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.systems.framework import DiagramBuilder
 
-    from xdex_drake.hand.description import Array, Hand
+    from xdex_drake.arrays import Array
+    from xdex_drake.hand.description import Hand
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 
@@ -134,7 +135,8 @@ class HandImport:
     used wherever a HAND is asked for. To grasp at once, this command is not needed: `xdex grasp --hand hand.urdf ...`.
 
     Meshes are read from the hand's own folder only: that of the file, or the ROS package (marked by package.xml) that
-    the file lies in. A xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
+    the file lies in, and packages beside it or on ROS_PACKAGE_PATH that it names. --root and --package allow more. A
+    xacro file is to be expanded first: `xacro hand.xacro > hand.urdf`.
 
     Try `xdex hand import hand.urdf --out hand.yaml --html hand.html`.
 
@@ -142,8 +144,10 @@ class HandImport:
         file: The file: .urdf, .xml (MJCF or URDF) or .sdf.
         name: Name of the hand, as it stands in grasp files; made from the file's name where not given.
         out: Where to write the description, a .yaml file; NAME.yaml in this folder where not given.
-        side: Which hand it is, where the file cannot tell.
+        side: Which hand it is, where the file cannot tell; of a robot with two hands, the one to take.
         palm: Name of the link that the fingers grow from, where the one that was found is wrong.
+        root: A folder in which meshes and included files may lie besides the hand's own, as --root ..
+        package: Where ROS packages that the file names are, as --package my_hand=../my_hand.
         html: Write a page with the hand, a slider for every joint, and each decision.
     """
 
@@ -152,6 +156,8 @@ class HandImport:
     out: Path | None = None
     side: Literal["right", "left"] | None = None
     palm: str | None = None
+    root: Path | None = None
+    package: tuple[str, ...] = ()
     html: Path | None = None
 
     def run(self) -> int:
@@ -163,7 +169,9 @@ class HandImport:
         from xdex_drake.hand.importing.files import import_hand
         from xdex_drake.hand.yaml_file import write_hand
 
-        imported = import_hand(self.file, name=self.name, side=self.side, palm=self.palm)
+        imported = import_hand(
+            self.file, name=self.name, side=self.side, palm=self.palm, root=self.root, packages=_packages(self.package)
+        )
         hand = imported.hand
         out = self.out or Path(f"{hand.name}.yaml")
         if self.out is None:
@@ -204,33 +212,49 @@ class HandImport:
         return 0
 
 
+def _packages(words: tuple[str, ...]) -> dict[str, Path]:
+    packages = {}
+    for word in words:
+        name, equals, folder = word.partition("=")
+        if not (name and equals and folder):
+            raise ConfigError(f"--package {word}: give a name and a folder, as --package my_hand=../my_hand")
+        packages[name] = Path(folder)
+    return packages
+
+
 def _millimetres(p: Array) -> str:
     return ", ".join(f"{1000.0 * value:.1f}" for value in p)
 
 
 @dataclass(frozen=True)
 class HandExport:
-    """Writes a hand as a URDF file with OBJ meshes, which MuJoCo, Pinocchio, yourdfpy, Drake and others open.
+    """Writes a hand as a URDF or MJCF file with OBJ meshes, for other tools.
 
-    Joint names, limits, efforts, couplings (mimic) and inertias are the hand's own. The empty link `wrist` marks the
-    wrist frame, to which grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
-    Try `xdex hand export allegro --out allegro_urdf`.
+    URDF is what Pinocchio, yourdfpy, Drake and others open; MJCF is for MuJoCo, with position actuators of the lifts'
+    gains, contacts and armature set, ready for `python -m mujoco.viewer --mjcf=FILE`. Joint names, limits, efforts,
+    couplings and inertias are the hand's own. The empty link (in MJCF: site) `wrist` marks the wrist frame, to which
+    grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
+    Try `xdex hand export allegro --format mjcf --out allegro_mjcf`.
 
     Attributes:
         hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
-        out: Folder for NAME.urdf and meshes/; NAME_urdf in this folder where not given.
+        format: The format.
+        out: Folder for the file and meshes/; NAME_FORMAT in this folder where not given.
     """
 
     hand: tyro.conf.Positional[HandName]
+    format: Literal["urdf", "mjcf"] = "urdf"
     out: Path | None = None
 
     def run(self) -> int:
         """Writes the files."""
-        from xdex_drake.hand.export import export_urdf
         from xdex_drake.hand.library import load_hand
+        from xdex_drake.interchange.mjcf import export_mjcf
+        from xdex_drake.interchange.urdf import export_urdf
 
         hand = load_hand(self.hand)
-        print(f"{hand.name}: {export_urdf(hand, self.out or Path(f'{hand.name}_urdf'))}")
+        export = {"urdf": export_urdf, "mjcf": export_mjcf}[self.format]
+        print(f"{hand.name}: {export(hand, self.out or Path(f'{hand.name}_{self.format}'))}")
         return 0
 
 

@@ -82,24 +82,31 @@ def _verdict(grasp: Grasp) -> str:
 class Export:
     """Stored grasps for other tools.
 
-    `json` holds every column, as plain numbers and names, with the unit and the meaning of each.
-    Try `xdex export grasps.parquet --out grasps.json`.
+    `json` holds every column, as plain numbers and names, with the unit and the meaning of each. `mujoco` is a folder
+    with a scene for each grasp: hand, object and table, ready for `python -m mujoco.viewer --mjcf=GRASP.xml`, with the
+    key frames pregrasp, grasp and squeeze.
+    Try `xdex export grasps.parquet --out grasps.json`, then
+    `xdex export grasps.parquet --format mujoco --out scenes`.
 
     Attributes:
         file: A file of grasps.
         format: The format.
-        out: The file to write.
+        out: The file or folder to write; grasps.json or grasps_mujoco in this folder where not given.
     """
 
     file: tyro.conf.Positional[Path]
-    format: Literal["json"] = "json"
-    out: Path = Path("grasps.json")
+    format: Literal["json", "mujoco"] = "json"
+    out: Path | None = None
 
     def run(self) -> int:
-        """Writes the file."""
-        check_output_file(self.out, ".json")
+        """Writes the file or the folder."""
+        return {"json": self._write_json, "mujoco": self._write_scenes}[self.format]()
+
+    def _write_json(self) -> int:
+        out = self.out or Path("grasps.json")
+        check_output_file(out, ".json")
+        from xdex_drake.dataset.grasp_file import read_grasps
         from xdex_drake.dataset.schema import SCHEMA
-        from xdex_drake.dataset.store import read_grasps
 
         rows = read_grasps(self.file)
         columns = {
@@ -108,8 +115,21 @@ class Export:
         }
         conventions = {key.decode(): value.decode() for key, value in (SCHEMA.metadata or {}).items()}
         content = {"conventions": conventions, "columns": columns, "grasps": rows}
-        write_text(self.out, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
-        print(f"{len(rows)} grasps: {self.out}")
+        write_text(out, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
+        print(f"{len(rows)} grasps: {out}")
+        return 0
+
+    def _write_scenes(self) -> int:
+        from xdex_drake.dataset.files import load_grasps
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.interchange.mjcf import export_scenes
+
+        stored = load_grasps(self.file)
+        if not stored:
+            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
+        out = self.out or Path("grasps_mujoco")
+        files = export_scenes([(item.grasp, item.hand, item.scene) for item in stored], out)
+        print(f"{len(files)} scenes: {out}; try `python -m mujoco.viewer --mjcf={files[0]}`")
         return 0
 
 

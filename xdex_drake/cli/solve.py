@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from xdex_drake.cli.output import check_output_file, counts, facts, one_thread, table
+from xdex_drake.cli.output import check_output_file, facts, one_thread, table
 
 if TYPE_CHECKING:
-    from xdex_drake.programs.wrench_problems import WrenchProblem
+    from xdex_drake.problems.wrench import WrenchProblem
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,12 @@ class Solve:
             check_output_file(self.html, ".html")
         from xdex_drake.data_files import data_folder
         from xdex_drake.errors import ConfigError
-        from xdex_drake.programs.obstacles import in_words, sizes
-        from xdex_drake.programs.problems import list_problems, load_any_problem
+        from xdex_drake.grasping.reasons import in_words
+        from xdex_drake.grasping.tally import counted
+        from xdex_drake.problems.files import list_problems, load_any_problem
+        from xdex_drake.problems.wrench import WrenchProblem as ContactsAlone
+        from xdex_drake.programs.obstacles import sizes
         from xdex_drake.programs.solve import SOLVERS
-        from xdex_drake.programs.wrench_problems import WrenchProblem as ContactsAlone
 
         if not self.problem:
             print(table([(name, load_any_problem(name).title) for name in list_problems()], ("problem", "title")))
@@ -62,8 +65,7 @@ class Solve:
         if isinstance(problem, ContactsAlone):
             return self._wrench(problem)
         changed = replace(problem, seed=problem.seed if self.seed is None else self.seed, solver=_solver(self, problem))
-        object.__setattr__(changed, "path", problem.path)
-        from xdex_drake.dataset.problem_runs import solve_problem
+        from xdex_drake.problems.solve import solve_problem
 
         solution = solve_problem(changed)
         result, grasp = solution.result, solution.grasp
@@ -73,7 +75,7 @@ class Solve:
         lines: list[tuple[str, object]] = [
             ("status", result.status if result.success else f"{result.status} by {in_words(result.worst)}"),
             ("solver", f"{result.solver}, {1e3 * result.seconds:.0f} ms, {_iterations(result.iterations)}"),
-            ("starts tried", f"{solution.tried}; failed by {counts(solution.violated)}"),
+            ("starts tried", f"{solution.tried}; failed by {counted(Counter(solution.violated))}"),
         ]
         if grasp is None:
             lines.append(("grasp", f"none: {solution.reason}"))
@@ -106,7 +108,7 @@ class Solve:
     def _wrench(self, problem: WrenchProblem) -> int:
         """Solves a problem of contacts alone, and prints."""
         from xdex_drake.errors import ConfigError
-        from xdex_drake.programs.wrench_problems import solve_wrench_problem
+        from xdex_drake.problems.wrench import solve_wrench_problem
 
         for name in ("seed", "solver", "out", "html"):
             if getattr(self, name) is not None:

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from xdex_drake.contact.cones import cone_violation, contact_frames, grasp_matrix
+from xdex_drake.contact.cones import cone_violation
+from xdex_drake.contact.grasp_map import Effort, GraspMap
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.margins import ball_margin, task_margin
 from xdex_drake.contact.wrench import GRAVITY, balance, gravity_wrench, push_wrenches
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Certificate, Contact
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -57,70 +57,29 @@ class Residuals:
         return all(value <= tolerance for value in values)
 
 
-def contact_geometry(p_OCs: ArrayLike, n_OCs: ArrayLike, R_WO: ArrayLike, p_OOcm: ArrayLike) -> tuple[Array, Array]:
-    """Contact frames and grasp matrix in W of contacts given in O.
-
-    The contact frame is fixed to the object, R_OC = contact_frames(n_OC), so that stored forces keep their meaning when
-    the object turns.
-
-    Args:
-        p_OCs: Contact points in O [m], shape (n, 3).
-        n_OCs: Unit normals in O, into the object, shape (n, 3).
-        R_WO: Rotation of the object in W, shape (3, 3).
-        p_OOcm: Center of mass in O [m], shape (3,).
-
-    Returns:
-        R_WCs, shape (n, 3, 3), and G of F_Ocm_W = G f, shape (6, 3 n).
-
-    Raises:
-        ConfigError: Shapes do not match or a normal has zero length.
-    """
-    R = np.asarray(R_WO, dtype=float)
-    p_OCs = np.asarray(p_OCs, dtype=float).reshape(-1, 3)
-    R_WCs = R @ contact_frames(np.asarray(n_OCs, dtype=float).reshape(-1, 3))
-    return R_WCs, grasp_matrix((p_OCs - np.asarray(p_OOcm, dtype=float)) @ R.T, R_WCs, np.zeros(3))
-
-
 def certify(
     p_OCs: ArrayLike,
     n_OCs: ArrayLike,
     links: Sequence[str],
+    held: HeldObject,
     *,
-    mu: ArrayLike,
-    mass: float,
-    p_OOcm: ArrayLike,
-    length: float,
-    R_WO: ArrayLike,
-    A: ArrayLike | None = None,
-    effort: ArrayLike | None = None,
+    effort: Effort | None = None,
     safety: float = 0.95,
     min_normal: float = 0.0,
-    disturbances: ArrayLike | None = None,
-    tol: float = 1e-3,
-    gravity: float = GRAVITY,
 ) -> CertificateResult:
-    """Prove that a grasp holds its object: forces for gravity, task margin, bracket of the ball margin.
+    """Prove that a grasp holds its object: forces for gravity, task margin against six pushes, bracket of the ball.
 
     The forces are computed with friction mu * safety, so that the proof with mu has room for rounding. The margins take
     mu itself.
 
     Args:
         p_OCs: Contact points in O [m], shape (n, 3).
-        n_OCs: Unit normals in O, into the object, shape (n, 3).
+        n_OCs: Normals in O, into the object, of any length, shape (n, 3).
         links: Name of the hand's link at each contact, n of them.
-        mu: Coefficient of friction, one or n.
-        mass: Mass of the object [kg], positive.
-        p_OOcm: Center of mass in O [m], shape (3,).
-        length: Length that divides torques [m].
-        R_WO: Rotation of the object in W, shape (3, 3).
-        A: Map of contact forces to actuated joint torques, in the contact frames of `contact_geometry`, shape
-            (n_act, 3 n).
-        effort: Limits of |A f|, shape (n_act,).
+        held: The object; that of a scene is `HeldObject.of(scene)`.
+        effort: What the hand can apply, in the contact frames of `held.grasp_map`; anything where None.
         safety: Factor on friction for the stored forces, below 1.
         min_normal: Least normal force at each contact [N].
-        disturbances: Wrenches of the task margin, in W, torque first, shape (k, 6); six pushes of m g by default.
-        tol: Width of the bracket of the ball margin.
-        gravity: Acceleration of gravity [m/s^2].
 
     Returns:
         The certificate, or the reason why gravity cannot be balanced.
@@ -135,29 +94,24 @@ def certify(
         raise ConfigError(
             f"contacts: {n} points, {len(normals)} normals, {len(links)} links; give one of each per contact"
         )
-    if not mass > 0.0:
-        raise ConfigError(f"mass: {mass} must be positive")
     if n == 0:
         return CertificateResult(None, "there is no contact", time.perf_counter() - start)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    mus = np.full(n, 1.0) * np.asarray(mu, dtype=float)
-    _, G = contact_geometry(p, normals, R_WO, p_OOcm)
-    F = gravity_wrench(mass, gravity)
-    forces = balance(G, mus, F, A=A, effort=effort, length=length, min_normal=min_normal, safety=safety)
+    grasp_map, F = held.grasp_map(p, normals), gravity_wrench(held.mass)
+    forces = balance(grasp_map, F, effort=effort, safety=safety, min_normal=min_normal)
     if not forces.solved:
         return CertificateResult(None, f"gravity is not held: {forces.reason}", time.perf_counter() - start)
-    pushes = push_wrenches(mass, gravity) if disturbances is None else disturbances
-    task = task_margin(G, mus, F, pushes, A, effort, length=length)
-    ball = ball_margin(G, mus, length=length, tol=tol)
+    task = task_margin(grasp_map, F, push_wrenches(held.mass), effort=effort)
+    ball = ball_margin(grasp_map)
     certificate = Certificate(
         contacts=tuple(
-            Contact(link, p[i].copy(), normals[i].copy(), float(mus[i]), forces.f[3 * i : 3 * i + 3].copy())
+            Contact(link, p[i].copy(), normals[i].copy(), float(grasp_map.mus[i]), forces.f[3 * i : 3 * i + 3].copy())
             for i, link in enumerate(links)
         ),
-        R_WO=np.array(R_WO, dtype=float),
-        p_OOcm=np.array(p_OOcm, dtype=float),
-        mass=float(mass),
-        length=float(length),
+        R_WO=np.array(held.R_WO, dtype=float),
+        p_OOcm=np.array(held.p_OOcm, dtype=float),
+        mass=float(held.mass),
+        length=float(held.length),
         wrench_residual=forces.residual,
         task_margin=task.margin,
         margin_lower=ball.lower,
@@ -168,12 +122,19 @@ def certify(
     return CertificateResult(certificate, "", time.perf_counter() - start)
 
 
-def check_certificate(certificate: Certificate, gravity: float = GRAVITY) -> Residuals:
+def certified_map(certificate: Certificate) -> GraspMap:
+    """The grasp map in W that a certificate is about."""
+    contacts = certificate.contacts
+    mu = np.array([contact.mu for contact in contacts])
+    held = HeldObject(certificate.mass, certificate.length, certificate.p_OOcm, mu, certificate.R_WO)
+    return held.grasp_map([contact.p_OC for contact in contacts], [contact.n_OC for contact in contacts])
+
+
+def check_certificate(certificate: Certificate) -> Residuals:
     """Check a certificate again, in plain NumPy, without a solver.
 
     Args:
         certificate: The certificate.
-        gravity: Acceleration of gravity [m/s^2].
 
     Returns:
         Residuals; `residuals.passes()` is the verdict.
@@ -181,12 +142,12 @@ def check_certificate(certificate: Certificate, gravity: float = GRAVITY) -> Res
     contacts, nan = certificate.contacts, float("nan")
     if not contacts:
         return Residuals(nan, nan, nan, nan, nan, nan)
-    n, weight = len(contacts), certificate.mass * gravity
-    mu = np.array([contact.mu for contact in contacts])
+    try:
+        grasp_map = certified_map(certificate)
+    except ConfigError:  # numbers that are no grasp prove nothing
+        return Residuals(nan, nan, nan, nan, nan, nan)
+    n, mu, G, weight = len(contacts), grasp_map.mus, grasp_map.scaled, certificate.mass * GRAVITY
     f = np.array([contact.f_C for contact in contacts])  # (n, 3)
-    p_OCs, n_OCs = np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts])
-    _, G = contact_geometry(p_OCs, n_OCs, certificate.R_WO, certificate.p_OOcm)
-    G[:3] /= certificate.length  # torques divided by length
     w = np.asarray(certificate.witness_forces).reshape(12, n, 3)
     axes = np.kron(np.eye(6), [[1.0], [-1.0]]) * certificate.margin_lower
     u = certificate.witness_direction / np.linalg.norm(certificate.witness_direction)

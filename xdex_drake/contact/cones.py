@@ -8,9 +8,8 @@ after contact: f = (f_C1, f_C2, ...), shape (3 n,). Wrenches are torque first, a
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xdex_drake.arrays import Array, skew
 from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 # A fixed rotation with exact entries. Any smooth choice of tangents fails for at least one normal; the one it fails for
 # here is -_R_WA[:, 2] = (-0.36, -0.48, -0.8), which no face of a box on a table has.
@@ -54,22 +53,6 @@ def contact_frames(n_WCs: ArrayLike) -> Array:
     return _R_WA @ R_AC
 
 
-def cross_matrices(v: ArrayLike) -> Array:
-    """Matrices [v]x with [v]x a = v x a.
-
-    Args:
-        v: Vectors, shape (..., 3).
-
-    Returns:
-        Skew-symmetric matrices, shape (..., 3, 3).
-    """
-    v = np.asarray(v, dtype=float)
-    S = np.zeros((*v.shape, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return S
-
-
 def grasp_matrix(p_WCs: ArrayLike, R_WCs: ArrayLike, p_WOcm: ArrayLike) -> Array:
     """Grasp matrix: the wrench on the object about its center of mass is F_Ocm_W = G f.
 
@@ -91,7 +74,7 @@ def grasp_matrix(p_WCs: ArrayLike, R_WCs: ArrayLike, p_WOcm: ArrayLike) -> Array
         raise ConfigError(
             f"grasp_matrix: shapes {p.shape}, {R.shape}, {c.shape} do not match; give (..., n, 3), (..., n, 3, 3), (3,)"
         )
-    blocks = np.concatenate([cross_matrices(p - c[..., None, :]) @ R, R], axis=-2)  # (..., n, 6, 3)
+    blocks = np.concatenate([skew(p - c[..., None, :]) @ R, R], axis=-2)  # (..., n, 6, 3)
     G = np.moveaxis(blocks, -3, -2)  # (..., 6, n, 3)
     return np.ascontiguousarray(G).reshape(*p.shape[:-2], 6, 3 * p.shape[-2])
 
@@ -126,33 +109,6 @@ def in_cone(f: ArrayLike, mu: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.
     return cone_violation(f, mu) <= tolerance
 
 
-def project_onto_cone(f: ArrayLike, mu: ArrayLike) -> Array:
-    """The nearest forces in the friction cones (exact projection onto a second-order cone).
-
-    Inside: unchanged. In the polar cone (mu |f_t| <= -f_n): zero. Else s = (mu |f_t| + f_n) / (1 + mu^2) becomes the
-    normal force and mu s the length of the tangential one (Parikh and Boyd, Proximal Algorithms, section 6.3.2,
-    scaled).
-
-    Args:
-        f: Forces in contact frames [N], shape (..., 3).
-        mu: Coefficients of friction, not negative, broadcast against f's leading shape.
-
-    Returns:
-        Projected forces [N], shape (..., 3).
-    """
-    f = np.asarray(f, dtype=float)
-    mu = np.broadcast_to(np.asarray(mu, dtype=float), f.shape[:-1])
-    tangent, normal = np.hypot(f[..., 0], f[..., 1]), f[..., 2]
-    inside = (tangent <= mu * normal) & (normal >= 0.0)
-    polar = mu * tangent <= -normal
-    s = np.where(polar, 0.0, (mu * tangent + normal) / (1.0 + mu * mu))
-    scale = np.where(inside, 1.0, mu * s / np.maximum(tangent, 1e-300))
-    result = np.empty_like(f)
-    result[..., :2] = scale[..., None] * f[..., :2]
-    result[..., 2] = np.where(inside, normal, s)
-    return result
-
-
 def cone_edges(mu: ArrayLike, k: int) -> Array:
     """Edges of the pyramids with k sides that are inscribed in the friction cones; unit normal component.
 
@@ -177,19 +133,16 @@ def cone_edges(mu: ArrayLike, k: int) -> Array:
     return edges
 
 
-def effort_map(J_WCs: ArrayLike, R_WCs: ArrayLike, coupling_matrix: ArrayLike | None = None) -> Array:
-    """A = C^T J^T: joint torques that the actuators must apply for given contact forces on the object, tau = A f.
+def effort_map(J_WCs: ArrayLike, R_WCs: ArrayLike) -> Array:
+    """A = J^T: torques that the actuated joints must apply for given contact forces on the object, tau = A f.
 
     Args:
-        J_WCs: Jacobians of the contact points, fixed in their links, with respect to all joint values, expressed in W,
-            shape (n, 3, n_joints).
+        J_WCs: Jacobians of the contact points, fixed in their links, with respect to the actuated joints, couplings
+            followed, expressed in W, shape (n, 3, n_act).
         R_WCs: Contact frames, shape (n, 3, 3).
-        coupling_matrix: C of q_full = C q + c, shape (n_joints, n_act); None where every joint is actuated.
 
     Returns:
         A, shape (n_act, 3 n) [m]; f is stacked in contact frames.
     """
     J, R = np.asarray(J_WCs, dtype=float), np.asarray(R_WCs, dtype=float)
-    J_C = np.swapaxes(R, -1, -2) @ J  # (n, 3, n_joints)
-    A = J_C.reshape(-1, J.shape[-1]).T  # (n_joints, 3 n)
-    return A if coupling_matrix is None else np.asarray(coupling_matrix, dtype=float).T @ A
+    return (np.swapaxes(R, -1, -2) @ J).reshape(-1, J.shape[-1]).T

@@ -1,4 +1,4 @@
-"""What the convex programs share: validation, scaling, constraint matrices of Clarabel, statuses."""
+"""What the convex programs share: scaling, constraint matrices of Clarabel, statuses."""
 
 import math
 from copy import copy
@@ -8,12 +8,10 @@ from typing import Any
 
 import clarabel
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
 
 conic: Any = clarabel  # the extension module has no types
 
@@ -22,35 +20,6 @@ CLARABEL = f"clarabel {conic.__version__}"
 
 TOLERANCE = 1e-6
 """A residual, divided by the external wrench, above this is not called a solution."""
-
-
-def check_grasp(G: ArrayLike, mu: ArrayLike, length: float, safety: float = 1.0) -> tuple[Array, Array, int]:
-    """Validated G, friction coefficients per contact times `safety`, number of contacts."""
-    G = np.asarray(G, dtype=float)
-    if G.ndim != 2 or G.shape[0] != 6 or G.shape[1] % 3 != 0:
-        raise ConfigError(f"G: shape {G.shape} is not (6, 3 n); build it with contact.grasp_matrix")
-    n = G.shape[1] // 3
-    mus = np.asarray(mu, dtype=float)
-    if mus.ndim > 1 or (mus.ndim == 1 and mus.shape != (n,)) or not np.all((mus >= 0.0) & np.isfinite(mus)):
-        raise ConfigError(f"mu: {mu} must be one coefficient or {n}, finite and not negative")
-    if not (length > 0.0 and math.isfinite(length)):
-        raise ConfigError(f"length: {length} must be positive; use a size of the object in meters")
-    if not np.all(np.isfinite(G)):
-        raise ConfigError("G: not finite; check the contact points and normals")
-    return G, np.full(n, safety) * mus, n
-
-
-def check_effort(A: ArrayLike | None, effort: ArrayLike | None, n: int) -> tuple[Array, Array]:
-    """Validated (A, effort) without the rows of unlimited joints; (0, 3 n) and (0,) where there are no limits."""
-    if A is None or effort is None:
-        if A is not None or effort is not None:
-            raise ConfigError("A and effort: give both or neither")
-        return np.zeros((0, 3 * n)), np.zeros(0)
-    A, e = np.asarray(A, dtype=float), np.asarray(effort, dtype=float)
-    if A.ndim != 2 or A.shape[1] != 3 * n or e.shape != (A.shape[0],) or not np.all(e >= 0.0):
-        raise ConfigError(f"A, effort: shapes {A.shape}, {e.shape} are not (n_act, {3 * n}), (n_act,) with effort >= 0")
-    limited = np.isfinite(e) & (np.abs(A).max(axis=1, initial=0.0) > 1e-12)
-    return A[limited], e[limited]
 
 
 @dataclass(frozen=True)
@@ -111,18 +80,6 @@ def full_matrix(M: Array) -> csc_matrix:
     """A dense matrix in the sparse form that Clarabel takes."""
     matrix = copy(_full_pattern(*M.shape))
     matrix.data = M.ravel(order="F")
-    return matrix
-
-
-@lru_cache(maxsize=64)
-def _upper_pattern(k: int) -> csc_matrix:
-    return csc_matrix(np.triu(np.ones((k, k))))
-
-
-def upper_matrix(P: Array) -> csc_matrix:
-    """The upper triangle of a dense symmetric matrix."""
-    matrix = copy(_upper_pattern(len(P)))
-    matrix.data = P.T[np.tril_indices(len(P))]
     return matrix
 
 

@@ -1,154 +1,78 @@
-"""Qualities of a grasp with their gradients in contact points and normals, for programs that raise them.
+"""Margins of a grasp with their gradients in contact points and normals, for programs that raise them.
 
-A quality is the optimal value of a convex program; by the envelope theorem its gradient is u . dw, summed with weights
-over wrenches w, where weights and u are the program's solution and multipliers. Where the solution is not unique (ties
-between facets, a degenerate linear program) the quality has a kink, and one of its subgradients is given.
+A margin is the value of a convex program over contact forces. By the envelope theorem (Danskin) its derivative is
+u . d(G f), with the best forces f held and u the multipliers of their wrench: forces move with their points and turn
+with their normals, dF = (n x dn) x F. Cones being round, how a contact frame spins about its normal does not count.
+Where the best forces or the multipliers are not unique the margin has a kink, and one of its subgradients is given.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.sparse import csc_matrix
 
-from xdex_drake.contact.cones import Array, cone_edges, contact_frames, grasp_matrix
-from xdex_drake.contact.conic import cone_rows, conic, program_cones, solve_conic, torque_scaling, upper_matrix
-from xdex_drake.contact.margins import _least_weight, _nearest_facet, _primitive_wrenches, ball_margin, support
+from xdex_drake.contact.cones import contact_frames, grasp_matrix
+from xdex_drake.contact.conic import cone_rows, conic, conic_solution, program_cones, solver_status
+from xdex_drake.contact.grasp_map import GraspMap
+from xdex_drake.contact.wrench import GRAVITY, push_wrenches
+from xdex_drake.grasp import Array
+from xdex_drake.hand.kinematics import cross
 
 
 @dataclass(frozen=True)
-class Quality:
-    """A quality with its gradient.
+class PushMargins:
+    """Margins against the six pushes with their gradients; all 0 where gravity itself is not held.
 
     Attributes:
-        value: The quality.
-        gradient_p: Its gradient with respect to the contact points [1/m], shape (n, 3).
-        gradient_n: The same with respect to the unit normals, tangent to them, shape (n, 3).
+        values: Margins, shape (6,).
+        by_points: Their gradients with respect to the contact points [1/m], shape (6, n, 3).
+        by_normals: The same with respect to the unit normals, tangent to them, shape (6, n, 3).
     """
 
-    value: float
-    gradient_p: Array
-    gradient_n: Array
+    values: Array
+    by_points: Array
+    by_normals: Array
 
 
-def min_weight_gradient(
-    p_WCs: ArrayLike, n_WCs: ArrayLike, mu: ArrayLike, p_WOcm: ArrayLike, *, length: float, edges: int = 4
-) -> Quality:
-    """`min_weight` with its gradient.
+def push_margins(p_OcmCs: Array, n_WCs: Array, mu: float | Array, length: float, *, most_force: float) -> PushMargins:
+    """`task_margin` against each of the six pushes, no contact pressing with more than `most_force`, with gradients.
+
+    For each push d: maximise s  subject to  G f + gravity + s d = 0,  f in the cones,  f_n <= most_force,  s >= 0, with
+    forces, gravity and pushes in units of the object's weight, which therefore does not matter.
 
     Args:
-        p_WCs: Contact points [m], shape (n, 3).
+        p_OcmCs: Contact points from the center of mass, in W [m], shape (n, 3).
         n_WCs: Unit contact normals into the object, shape (n, 3).
         mu: Coefficient of friction, one or n.
-        p_WOcm: Center of mass [m], shape (3,).
         length: Length that divides torques [m].
-        edges: Number of edges of a pyramid.
+        most_force: Greatest normal force of a contact, in units of the object's weight.
 
     Returns:
-        Value and gradient; the gradient is 0 where the value is -inf.
+        The margins with their gradients.
 
     Raises:
         ConfigError: Shapes do not match or a number is out of range.
     """
-    p, R, G = _geometry(p_WCs, n_WCs, p_WOcm)
-    value, u, weights = _least_weight(_primitive_wrenches(G, mu, length, edges))
-    return _by_pyramids(value, u, weights, p, R, mu, length, edges)
-
-
-def epsilon_gradient(
-    p_WCs: ArrayLike, n_WCs: ArrayLike, mu: ArrayLike, p_WOcm: ArrayLike, *, length: float, edges: int = 8
-) -> Quality:
-    """`epsilon_linearized` with its gradient.
-
-    Args:
-        p_WCs: Contact points [m], shape (n, 3).
-        n_WCs: Unit contact normals into the object, shape (n, 3).
-        mu: Coefficient of friction, one or n.
-        p_WOcm: Center of mass [m], shape (3,).
-        length: Length that divides torques [m].
-        edges: Number of edges of a pyramid.
-
-    Returns:
-        Value and gradient; both 0 where the origin is not inside.
-
-    Raises:
-        ConfigError: Shapes do not match or a number is out of range.
-    """
-    p, R, G = _geometry(p_WCs, n_WCs, p_WOcm)
-    value, u, weights = _nearest_facet(_primitive_wrenches(G, mu, length, edges))
-    return _by_pyramids(value, u, weights, p, R, mu, length, edges)
-
-
-def ball_margin_gradient(
-    p_WCs: ArrayLike, n_WCs: ArrayLike, mu: ArrayLike, p_WOcm: ArrayLike, *, length: float, tol: float = 1e-6
-) -> Quality:
-    """The upper bound of `ball_margin` with its gradient, in exact cones.
-
-    At the worst direction u, margin u is the wrench of some forces with a unit sum of normal components: they, found by
-    one conic program, are the weights of the gradient.
-
-    Args:
-        p_WCs: Contact points [m], shape (n, 3).
-        n_WCs: Unit contact normals into the object, shape (n, 3).
-        mu: Coefficient of friction, one or n.
-        p_WOcm: Center of mass [m], shape (3,).
-        length: Length that divides torques [m].
-        tol: Width of the bracket to stop at; the gradient is about as good as its root.
-
-    Returns:
-        Value and gradient; both 0 where the margin is 0.
-
-    Raises:
-        ConfigError: Shapes do not match or a number is out of range.
-    """
-    p, R, G = _geometry(p_WCs, n_WCs, p_WOcm)
-    n = len(p)
-    margin = ball_margin(G, mu, length=length, tol=tol)
-    if margin.lower <= 0.0:
-        return Quality(0.0, np.zeros((n, 3)), np.zeros((n, 3)))
-    u, G_n = margin.direction, torque_scaling(length)[:, None] * G
-    mus = np.full(n, 1.0) * np.asarray(mu, dtype=float)
-    # Forces whose wrench is nearest to margin u.
-    identity = np.eye(3 * n)
-    rows = csc_matrix(np.concatenate([[identity[2::3].sum(axis=0)], -cone_rows(mus, identity)]))
-    right = np.append(1.0, np.zeros(3 * n))
-    P = upper_matrix(G_n.T @ G_n + 1e-9 * identity)
-    cones = [conic.ZeroConeT(1), *program_cones(0, n)]
-    status, f, _ = solve_conic(P, -margin.upper * (u @ G_n), rows, right, cones, 1e-12)
-    if status != "solved":
-        f = support(G_n, mus, u[None])[1][0]
-    F_Ws = np.einsum("nij,nj->ni", R, f.reshape(n, 3))
-    gradient_p, pull = _pulls(F_Ws, u, p, length)
-    return Quality(margin.upper, gradient_p, np.cross(np.cross(F_Ws, pull), R[..., 2]))
-
-
-def _geometry(p_WCs: ArrayLike, n_WCs: ArrayLike, p_WOcm: ArrayLike) -> tuple[Array, Array, Array]:
-    """Points relative to the center of mass, contact frames, grasp matrix."""
-    p, R = np.asarray(p_WCs, dtype=float) - np.asarray(p_WOcm, dtype=float), contact_frames(n_WCs)
-    return p, R, grasp_matrix(p, R, np.zeros(3))
-
-
-def _pulls(F_Ws: Array, u: Array, p: Array, length: float) -> tuple[Array, Array]:
-    """Derivatives of u . w with respect to points and forces, w = ((p x F) / length, F), shape (n, 3) each."""
-    torque = np.broadcast_to(u[:3] / length, p.shape)
-    return np.cross(F_Ws, torque), u[3:] + np.cross(torque, p)
-
-
-def _by_pyramids(
-    value: float, u: Array, weights: Array, p: Array, R: Array, mu: ArrayLike, length: float, edges: int
-) -> Quality:
-    """Quality whose change is u . sum_j weights_j dw_j over primitive wrenches.
-
-    Pyramids, unlike cones, are not round: how frames spin about their normals counts, so frames are differentiated
-    themselves, by differences (their error, 1e-10, is far below that of a solver).
-    """
-    n, h = len(p), 1e-6
-    mus = np.full(n, 1.0) * np.asarray(mu, dtype=float)
-    f = np.einsum("nik,nk->ni", cone_edges(mus, edges), weights.reshape(n, edges))
-    gradient_p, pull = _pulls(np.einsum("nij,nj->ni", R, f), u, p, length)
-    gradient_n = np.zeros((n, 3))
-    for axis in (0, 1):
-        tangent = R[..., axis]
-        dR = (contact_frames(R[..., 2] + h * tangent) - contact_frames(R[..., 2] - h * tangent)) / (2.0 * h)
-        gradient_n += np.einsum("nij,nj,ni->n", dR, f, pull)[:, None] * tangent
-    return Quality(value, gradient_p, gradient_n)
+    R_WCs = contact_frames(n_WCs)
+    grasp_map = GraspMap(grasp_matrix(p_OcmCs, R_WCs, np.zeros(3)), mu, length)
+    n, identity = grasp_map.contacts, np.eye(3 * grasp_map.contacts)
+    # Variables (f, s). Rows: balance, s >= 0, f_n <= most_force, cones.
+    rows = np.zeros((7 + 4 * n, 3 * n + 1))
+    rows[:6, :-1], rows[6, -1] = grasp_map.scaled, -1.0
+    rows[7 : 7 + n, :-1], rows[7 + n :, :-1] = identity[2::3], -cone_rows(grasp_map.mus, identity)
+    right = np.concatenate([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0], np.full(n, most_force), np.zeros(3 * n)])
+    cones = [conic.ZeroConeT(6), *program_cones(1 + n, n)]
+    P, q = csc_matrix((3 * n + 1, 3 * n + 1)), np.append(np.zeros(3 * n), -1.0)
+    values, u, f = np.zeros(6), np.zeros((6, 1, 6)), np.zeros((6, n, 3))
+    for k, push in enumerate(push_wrenches(1.0 / GRAVITY)):
+        rows[:6, -1] = push
+        solution = conic_solution(P, q, csc_matrix(rows), right, cones)
+        if solver_status(solution) != "solved":  # not even s = 0 is held
+            return PushMargins(np.zeros(6), np.zeros((6, n, 3)), np.zeros((6, n, 3)))
+        x = np.asarray(solution.x)
+        values[k], f[k], u[k] = x[-1], x[:-1].reshape(n, 3), -np.asarray(solution.z)[:6]
+    # u . dw, of the wrench w = (sum p x F / length, sum F).
+    F_Ws = np.einsum("nij,knj->kni", R_WCs, f)
+    torque = np.repeat(u[..., :3] / length, n, axis=1)
+    on_force = u[..., 3:] + cross(torque, p_OcmCs[None])
+    return PushMargins(values, cross(F_Ws, torque), cross(cross(F_Ws, on_force), n_WCs[None]))

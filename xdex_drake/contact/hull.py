@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
 
 _EPSILON = 1e-11
 

@@ -1,4 +1,4 @@
-"""Margins and qualities of a grasp: how much more than gravity it resists."""
+"""Margins of a grasp: how much more than gravity it resists."""
 
 import math
 import time
@@ -6,35 +6,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
-from scipy.sparse import csc_matrix
-from scipy.spatial import ConvexHull, QhullError
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_edges
 from xdex_drake.contact.conic import (
     CLARABEL,
     STOPPED,
-    check_effort,
-    check_grasp,
     cone_rows,
-    conic,
-    conic_solution,
     diagonal,
     effort_rows,
     full_matrix,
-    holding_forces,
     norm,
     program_cones,
     resolve_conic,
     solve_conic,
-    solver_status,
-    torque_scaling,
 )
+from xdex_drake.contact.grasp_map import Effort, GraspMap, effort_limits
 from xdex_drake.contact.hull import GrowingHull
 from xdex_drake.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,31 +76,23 @@ class BallMargin:
 
 
 def task_margin(
-    G: ArrayLike,
-    mu: ArrayLike,
+    grasp_map: GraspMap,
     F_gravity: ArrayLike,
     disturbances: ArrayLike,
-    A: ArrayLike | None = None,
-    effort: ArrayLike | None = None,
     *,
-    length: float,
-    safety: float = 1.0,
+    effort: Effort | None = None,
     cap: float = 100.0,
 ) -> TaskMargin:
     """The greatest multiple of each of some disturbances that a grasp resists beside gravity.
 
-    For each k: maximise s  subject to  G f + F_gravity + s d_k = 0,  f in the friction cones,  |A f| <= effort,
+    For each k: maximise s  subject to  G f + F_gravity + s d_k = 0,  f in the friction cones,  |A f| <= limits,
     0 <= s <= cap. The margin is the least over k. Without effort limits it is often unbounded: hence the cap.
 
     Args:
-        G: Grasp matrix, shape (6, 3 n).
-        mu: Coefficient of friction, one or n.
+        grasp_map: The contacts.
         F_gravity: Wrench that is always there, torque first [N m, N], shape (6,).
         disturbances: Wrenches d_k, shape (k, 6), for example `push_wrenches(mass)`.
-        A: Map of contact forces to actuated joint torques, shape (n_act, 3 n).
-        effort: Limits of |A f|, shape (n_act,).
-        length: Length that divides torques [m].
-        safety: Factor on friction.
+        effort: What limits forces beside friction; nothing where None.
         cap: Greatest margin that is reported.
 
     Returns:
@@ -119,26 +102,24 @@ def task_margin(
         ConfigError: Shapes do not match or a number is out of range.
     """
     start = time.perf_counter()
-    G, mus, n = check_grasp(G, mu, length, safety)
-    A, e = check_effort(A, effort, n)
+    n, mus = grasp_map.contacts, grasp_map.mus
+    A, limits = effort_limits(effort, n)
     D = np.atleast_2d(np.asarray(disturbances, dtype=float))
     if D.shape[1:] != (6,) or len(D) == 0:
         raise ConfigError(f"disturbances: shape {D.shape} is not (k, 6) with k >= 1")
     if n == 0:
         return _no_margin("infeasible", "there is no contact", len(D), n, start)
-    scaling = torque_scaling(length)
-    G_n, F_n, D_n = scaling[:, None] * G, scaling * np.asarray(F_gravity, dtype=float), scaling * D
+    F_n, D_n, holding = grasp_map.scaling * np.asarray(F_gravity, dtype=float), grasp_map.scaling * D, grasp_map.holding
     scale = max(norm(F_n), float(np.sqrt((D_n * D_n).sum(axis=1)).max()), 1e-9)
-    holding = holding_forces(G_n)
     if not holding.balanceable(F_n):
         return _no_margin("infeasible", "gravity is not held", len(D), n, start)
     # Variables (z, s): f = at + null z + s along_k. Only the column of s differs between disturbances.
     null, at, along = holding.null, holding.of(F_n / scale), holding.inverse @ (D_n.T / scale)
     m = null.shape[1]
     columns = np.concatenate([null, along], axis=1)
-    limits, bound = effort_rows(A, e / scale, columns, at)
+    efforts, bound = effort_rows(A, limits / scale, columns, at)
     pushing = slice(2, None, 3) if mus.min() == 0.0 else slice(0)  # else the cones say that contacts push
-    rows = np.concatenate([limits, -columns[pushing], np.zeros((2, m + len(D))), -cone_rows(mus, columns)])
+    rows = np.concatenate([efforts, -columns[pushing], np.zeros((2, m + len(D))), -cone_rows(mus, columns)])
     right = np.concatenate([bound, at[pushing], [0.0, cap], cone_rows(mus, at)])
     split = len(rows) - 3 * n - 2
     rows[split, m:], rows[split + 1, m:] = -1.0, 1.0
@@ -161,7 +142,7 @@ def task_margin(
             return _no_margin(status, "gravity is not held" if status == "infeasible" else STOPPED, len(D), n, start)
         margins[j] = max(0.0, float(x[-1]))
         forces[j] = scale * (at + margins[j] * along[:, j] + null @ x[:-1])
-    unbalanced = forces @ G_n.T + F_n + margins[:, None] * D_n
+    unbalanced = forces @ grasp_map.scaled.T + F_n + margins[:, None] * D_n
     worst = float(np.sqrt((unbalanced * unbalanced).sum(axis=1)).max()) / (norm(F_n) or 1.0)
     seconds = time.perf_counter() - start
     return TaskMargin("solved", float(margins.min()), margins, forces, worst, "", CLARABEL, seconds)
@@ -172,28 +153,21 @@ def _no_margin(status: str, reason: str, k: int, n: int, start: float) -> TaskMa
     return TaskMargin(status, 0.0, np.zeros(k), np.zeros((k, 3 * n)), 0.0, reason, CLARABEL, seconds)
 
 
-def support(G: ArrayLike, mu: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
+def support(grasp_map: GraspMap, directions: ArrayLike) -> tuple[Array, Array]:
     """Support function of W = {G f : f in the exact cones, sum f_n <= 1}, with forces that attain it.
 
-    h(u) = max(0, max_i(mu_i |g_i,t| + g_i,n)), g = G^T u: the best forces press one contact only, along its friction
-    cone's edge. Closed form, hence no solver.
+    h(u) = max(0, max_i(mu_i |g_i,t| + g_i,n)), g = G^T u, torques divided by the length: the best forces press one
+    contact only, along its friction cone's edge. Closed form, hence no solver.
 
     Args:
-        G: Grasp matrix, torques divided by a length, shape (6, 3 n).
-        mu: Coefficient of friction, one or n.
+        grasp_map: The contacts.
         directions: Wrench directions u, shape (m, 6).
 
     Returns:
         h(u), shape (m,), and forces of contact i* with f_n = 1 (not 0 where h = 0), shape (m, 3 n).
     """
-    G, mus, _ = check_grasp(G, mu, 1.0)
-    return _support(G, mus, np.asarray(directions, dtype=float))
-
-
-def _support(G: Array, mus: Array, u: Array) -> tuple[Array, Array]:
-    """`support` without validation."""
-    n = len(mus)
-    g = (u @ G).reshape(len(u), n, 3)
+    n, mus, u = grasp_map.contacts, grasp_map.mus, np.asarray(directions, dtype=float)
+    g = (u @ grasp_map.scaled).reshape(len(u), n, 3)
     tangent = np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2)
     values = mus * tangent + g[..., 2]
     best, row = values.argmax(axis=1), np.arange(len(u))
@@ -204,9 +178,7 @@ def _support(G: Array, mus: Array, u: Array) -> tuple[Array, Array]:
     return np.maximum(0.0, values[row, best]), f.reshape(len(u), 3 * n)
 
 
-def ball_margin(
-    G: ArrayLike, mu: ArrayLike, *, length: float = 1.0, tol: float = 1e-3, max_iterations: int = 120
-) -> BallMargin:
+def ball_margin(grasp_map: GraspMap, *, tol: float = 1e-3, max_iterations: int = 120) -> BallMargin:
     """Bracket of the radius of the largest ball around 0 in W = {G f : f in the exact cones, sum f_n <= 1}.
 
     A quality of the Ferrari-Canny family (1992, the sum of normal forces bounded) with exact cones. The hull of
@@ -215,22 +187,16 @@ def ball_margin(
     hard-finger contacts resist no torque about the line between them: their margin is 0, found at once.
 
     Args:
-        G: Grasp matrix, shape (6, 3 n).
-        mu: Coefficient of friction, one or n.
-        length: Length that divides torques [m]; 1 where G's torques are divided already.
+        grasp_map: The contacts.
         tol: Width of the bracket to stop at, relative to unit force.
         max_iterations: Refinements after which the bracket is returned as it is, true but wider (1e-2 has been seen on
             symmetric grasps of many contacts whose margin is near 1, where nearly all directions are alike).
 
     Returns:
         The bracket with its witnesses. `lower` is 0 where 0 is not inside W.
-
-    Raises:
-        ConfigError: Shapes do not match or a number is out of range.
     """
     start = time.perf_counter()
-    G, mus, n = check_grasp(G, mu, length)
-    G = torque_scaling(length)[:, None] * G
+    n, mus, G = grasp_map.contacts, grasp_map.mus, grasp_map.scaled
     U, sigma, _ = np.linalg.svd(G, full_matrices=True)
     if n < 3 or sigma[-1] < 1e-9 * max(sigma[0], 1.0):
         # A direction that no force has a share in. (Fewer than three contacts never span all wrenches.)
@@ -238,12 +204,12 @@ def ball_margin(
     # Seeds: three edges of each cone, and support points along the principal axes of G.
     f_seed = np.zeros((3 * n, n, 3))
     f_seed[np.arange(3 * n), np.repeat(np.arange(n), 3)] = np.swapaxes(cone_edges(mus, 3), -1, -2).reshape(3 * n, 3)
-    seeds = np.vstack([f_seed.reshape(3 * n, 3 * n), _support(G, mus, np.vstack([U.T, -U.T]))[1]])
+    seeds = np.vstack([f_seed.reshape(3 * n, 3 * n), support(grasp_map, np.vstack([U.T, -U.T]))[1]])
     lower, upper, direction, iterations = 0.0, math.inf, U[:, -1].copy(), 0
     try:
         hull = GrowingHull(seeds @ G.T)
     except ValueError:  # no friction and few contacts: the wrenches lie in a plane that may not hold 0
-        values, _ = _support(G, mus, np.vstack([U.T, -U.T]))
+        values, _ = support(grasp_map, np.vstack([U.T, -U.T]))
         direction = np.vstack([U.T, -U.T])[int(values.argmin())]
         return BallMargin(0.0, float(values.min()), direction, np.zeros((12, 3 * n)), 0, time.perf_counter() - start)
     columns, forces = np.ascontiguousarray(G.reshape(6, n, 3).transpose(1, 0, 2)), [*seeds[hull.start]]
@@ -251,7 +217,7 @@ def ball_margin(
         nearest = hull.nearest()
         u = hull.planes[nearest, :6]
         lower = float(hull.offsets[nearest])
-        # The support as in `_support`, for one direction.
+        # The support as in `support`, for one direction.
         g = u @ columns  # (n, 3)
         tangent = np.hypot(g[:, 0], g[:, 1])
         values = mus * tangent + g[:, 2]
@@ -300,92 +266,3 @@ def _witness(G: Array, forces: Array, lower: float, hull: GrowingHull) -> Array:
             stacked = np.vstack([np.c_[wrenches.T, np.zeros(6)], np.ones(len(forces) + 1)])
             result[row] = nnls(stacked, np.append(lower * axis, 1.0))[0][:-1] @ forces
     return result
-
-
-def _primitive_wrenches(G: ArrayLike, mu: ArrayLike, length: float, edges: int) -> Array:
-    """Wrenches of the edges of all pyramids, unit normal force, shape (n * edges, 6)."""
-    G, mus, n = check_grasp(G, mu, length)
-    columns = (torque_scaling(length)[:, None] * G).reshape(6, n, 3)
-    return np.einsum("aij,ijk->ika", columns, cone_edges(mus, edges)).reshape(n * edges, 6)
-
-
-def epsilon_linearized(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 8) -> float:
-    """The Ferrari-Canny quality with pyramids: radius of the largest ball in the hull of primitive wrenches.
-
-    Args:
-        G: Grasp matrix, shape (6, 3 n).
-        mu: Coefficient of friction, one or n.
-        length: Length that divides torques [m].
-        edges: Number of edges of a pyramid.
-
-    Returns:
-        The quality; 0 where the origin is not inside. It is at most the exact `ball_margin`.
-
-    Raises:
-        ConfigError: Shapes do not match or a number is out of range.
-    """
-    return _nearest_facet(_primitive_wrenches(G, mu, length, edges))[0]
-
-
-def _nearest_facet(wrenches: Array) -> tuple[float, Array, Array]:
-    """Radius, unit normal (6,) and convex weights of the wrenches, (m,), of the nearest point of their hull's boundary.
-
-    All zero where 0 is not inside.
-    """
-    nothing = 0.0, np.zeros(6), np.zeros(len(wrenches))
-    if len(wrenches) < 7 or np.linalg.matrix_rank(wrenches, tol=1e-9) < 6:
-        return nothing
-    try:
-        hull = ConvexHull(np.vstack([wrenches, np.zeros(6)]))
-    except QhullError:
-        return nothing
-    nearest = int(hull.equations[:, 6].argmax())
-    radius, normal, vertices = float(-hull.equations[nearest, 6]), hull.equations[nearest, :6], hull.simplices[nearest]
-    if radius <= 1e-12 or vertices.max() == len(wrenches):
-        return nothing
-    weights = np.zeros(len(wrenches))
-    weights[vertices] = np.linalg.lstsq(wrenches[vertices].T, radius * normal, rcond=None)[0]
-    return radius, normal, weights
-
-
-def min_weight(G: ArrayLike, mu: ArrayLike, *, length: float, edges: int = 4) -> float:
-    """FRoGGeR's quality: the largest least weight of a convex combination of primitive wrenches that gives zero.
-
-    maximise l  subject to  sum_j alpha_j w_j = 0,  sum_j alpha_j = 1,  alpha_j >= l
-
-    (Li et al., FRoGGeR, 2023.) A linear program; positive exactly where the grasp closes by force, given that the
-    primitive wrenches span. Between it and `epsilon_linearized` there are two-sided bounds.
-
-    Args:
-        G: Grasp matrix, shape (6, 3 n).
-        mu: Coefficient of friction, one or n.
-        length: Length that divides torques [m].
-        edges: Number of edges of a pyramid.
-
-    Returns:
-        l, at most 1 / (n edges); negative where no nonnegative combination gives zero, -inf where none at all does.
-
-    Raises:
-        ConfigError: Shapes do not match or a number is out of range.
-    """
-    return _least_weight(_primitive_wrenches(G, mu, length, edges))[0]
-
-
-def _least_weight(wrenches: Array) -> tuple[float, Array, Array]:
-    """Value of the linear program of `min_weight`, multipliers of zero wrench (6,), and weights (m,)."""
-    m = len(wrenches)
-    if m == 0:
-        return -math.inf, np.zeros(6), np.zeros(0)
-    rows = np.zeros((7 + m, m + 1))
-    rows[:6, :m] = wrenches.T
-    rows[6, :m] = 1.0
-    rows[7:, :m], rows[7:, m] = -np.eye(m), 1.0
-    right = np.zeros(7 + m)
-    right[6] = 1.0
-    cones = [conic.ZeroConeT(7), conic.NonnegativeConeT(m)]
-    q = np.append(np.zeros(m), -1.0)
-    solution = conic_solution(csc_matrix((m + 1, m + 1)), q, csc_matrix(rows), right, cones)
-    if solver_status(solution) != "solved":
-        return -math.inf, np.zeros(6), np.zeros(m)
-    x = np.asarray(solution.x)
-    return float(x[-1]), -np.asarray(solution.z)[:6], x[:m]

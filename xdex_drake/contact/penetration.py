@@ -1,13 +1,11 @@
 """Penetration of a hand and points of an object's surface."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from xdex_drake.contact.primitives import bounding_sphere, signed_distance
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
-
-Array = NDArray[np.float64]
 
 
 def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayLike) -> Array:
@@ -37,7 +35,7 @@ def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayL
         )
     depths = np.zeros(len(points))
     shapes = [
-        (k, geometry, *bounding_sphere(geometry)) for k, link in enumerate(hand.links) for geometry in link.geometry
+        (k, geometry, *geometry.bounding_sphere()) for k, link in enumerate(hand.links) for geometry in link.geometry
     ]
     if not shapes or not len(points):
         return depths
@@ -52,7 +50,7 @@ def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayL
     for row in np.flatnonzero(near.any(axis=1)):
         k, geometry = shapes[row][:2]
         index = np.flatnonzero(near[row])
-        depth = -signed_distance(geometry, (points[index] - p[k]) @ R[k])
+        depth = -geometry.signed_distance((points[index] - p[k]) @ R[k])
         depths[index] = np.maximum(depths[index], depth)
     return depths
 

@@ -7,17 +7,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from xdex_drake.dataset.schema import Array, Row, grasp_from_row, pose_from_list, row_from_grasp
-from xdex_drake.dataset.store import read_grasps, read_metadata, write_grasps
+from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, write_grasps
+from xdex_drake.dataset.rows import rows_of
+from xdex_drake.dataset.schema import Row, grasp_from_row, pose_from_list
 from xdex_drake.errors import GraspFileError, XdexError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.generation import read_hand_name
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.hand.yaml_file import hand_digest
-from xdex_drake.scene.object import load_object
+from xdex_drake.scene.facts import SceneFacts
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 HAND_PATHS = "xdex_hand_paths"
 """Entry of a file's metadata: where the description of each hand lies that the library does not have."""
@@ -33,6 +33,7 @@ class StoredGrasp:
         scene: Its scene.
         facts: The scene by what another process needs to build it.
         row: The row as it was read.
+        hand_path: Name or path by which another process loads the hand.
     """
 
     grasp: Grasp
@@ -40,50 +41,7 @@ class StoredGrasp:
     scene: Scene
     facts: SceneFacts
     row: Row
-
-
-def rows_of(
-    grasps: Iterable[Grasp],
-    hand: Hand,
-    scene: Scene,
-    *,
-    source_points: Mapping[str, Array] | None = None,
-    protocol: LiftProtocol = LIFT,
-) -> list[Row]:
-    """Rows of grasps by one hand in one scene.
-
-    Args:
-        grasps: The grasps.
-        hand: Their hand.
-        scene: Their scene.
-        source_points: Object point, in O [m], of each source grasp by its identifier, for retargeted grasps.
-        protocol: The protocol whose gains the squeeze targets are for.
-
-    Returns:
-        The rows, ready for `store.write_grasps`.
-    """
-    from xdex_drake.dataset.generation import grasp_object_point, object_facts
-
-    path = scene.object.name if scene.object.path is None else str(scene.object.path)
-    digest, facts = hand_digest(hand), object_facts(scene.object, path)
-    gains = (protocol.plant.kp, protocol.plant.kd)
-    rows = []
-    for grasp in grasps:
-        point = grasp_object_point(hand, grasp, scene)
-        source = (source_points or {}).get(grasp.source_grasp_id) if grasp.source_grasp_id else point
-        rows.append(
-            row_from_grasp(
-                grasp,
-                scene_id=scene.scene_id,
-                hand=hand,
-                hand_digest=digest,
-                object=facts,
-                gains=gains,
-                object_point_O=point,
-                source_object_point_O=source,
-            )
-        )
-    return rows
+    hand_path: str
 
 
 def save_grasps(
@@ -128,63 +86,22 @@ def hand_paths(path: str | Path) -> dict[str, str]:
     return dict(json.loads(read_metadata(path).get(HAND_PATHS, "{}")))
 
 
-@dataclass(frozen=True)
-class SceneFacts:
-    """What a row says about its scene; hashable, and enough for another process to build it.
+def scene_facts(row: Row, folder: Path | None = None) -> SceneFacts:
+    """What a row says about its scene.
 
-    Attributes:
-        object_path: Library name, or path of the mesh.
-        digest: Digest of the mesh.
-        scale: Factor from the mesh file's unit to metres.
-        mass: Mass of the object [kg].
-        friction: Coefficient of friction.
-        X_WO: Pose of the object: x, y, z, qw, qx, qy, qz.
-        scene_id: Identifier of the scene.
+    Args:
+        row: The row.
+        folder: Folder of the row's file, where a mesh is looked for that is not found by its path as it stands.
+
+    Returns:
+        The facts.
     """
-
-    object_path: str
-    digest: str
-    scale: float
-    mass: float
-    friction: float
-    X_WO: tuple[float, ...]
-    scene_id: str
-
-    @staticmethod
-    def of_row(row: Row, folder: Path | None = None) -> SceneFacts:
-        """Reads a row.
-
-        Args:
-            row: The row.
-            folder: Folder of the row's file, where a mesh is looked for that is not found by its path as it stands.
-
-        Returns:
-            The facts.
-        """
-        path = row["object_path"]
-        if folder is not None and Path(path).suffix and not Path(path).exists() and (folder / path).exists():
-            path = str(folder / path)
-        numbers = (row["object_scale"], row["mass_kg"], row["friction"])
-        return SceneFacts(path, row["object_digest"], *numbers, tuple(row["X_WO"]), row["scene_id"])
-
-    def build(self) -> Scene:
-        """Prepares the object and lays it as it lay.
-
-        Returns:
-            The scene.
-
-        Raises:
-            GraspFileError: The mesh has changed since, or cannot be found.
-        """
-        try:
-            model = load_object(self.object_path, scale=self.scale, mass=self.mass, friction=self.friction)
-        except XdexError as error:
-            raise GraspFileError(f"scene {self.scene_id}: its object cannot be found: {error}") from None
-        if model.digest != self.digest:
-            raise GraspFileError(
-                f"scene {self.scene_id}: {self.object_path} is not the mesh of its grasps; restore that mesh"
-            )
-        return Scene(model, pose_from_list(self.X_WO), self.scene_id)
+    path = row["object_path"]
+    if folder is not None and Path(path).suffix and not Path(path).exists() and (folder / path).exists():
+        path = str(folder / path)
+    numbers = (row["object_scale"], row["mass_kg"], row["friction"])
+    pose = tuple(pose_from_list(row["X_WO"]).GetAsMatrix34().ravel().tolist())
+    return SceneFacts(path, row["object_digest"], *numbers, pose, row["scene_id"])
 
 
 def load_grasps(path: str | Path) -> list[StoredGrasp]:
@@ -212,8 +129,8 @@ def load_grasps(path: str | Path) -> list[StoredGrasp]:
                 raise GraspFileError(f"{path}: hand {name} cannot be found: {error}") from None
             if hand_digest(hands[name]) != row["hand_digest"]:
                 raise GraspFileError(f"{path}: hand {name} is not the one it was made with; restore its description")
-        key = SceneFacts.of_row(row, Path(path).parent)
+        key = scene_facts(row, Path(path).parent)
         if key not in scenes:
             scenes[key] = key.build()
-        stored.append(StoredGrasp(grasp_from_row(row), hands[name], scenes[key], key, row))
+        stored.append(StoredGrasp(grasp_from_row(row), hands[name], scenes[key], key, row, paths.get(name, name)))
     return stored

@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
+from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import GraspFileError
-from xdex_drake.grasp import Certificate, Contact, Grasp, Lift
+from xdex_drake.grasp import Certificate, Contact, Grasp, Hold, Lift
 from xdex_drake.hand.description import Hand
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _CM_PER_M = 100.0
 _AGREEMENT = 1e-9
@@ -66,7 +66,9 @@ _TEXTS = pa.list_(pa.string())
 _VECTOR = pa.list_(pa.float64(), 3)
 _POSE = pa.list_(pa.float64(), 7)
 _CONTACTS = pa.list_(
-    pa.struct([("link", _TEXT), ("p_OC", _VECTOR), ("n_OC", _VECTOR), ("mu", _REAL), ("f_C", _VECTOR)])
+    pa.struct(
+        [("link", _TEXT), ("p_OC", _VECTOR), ("n_OC", _VECTOR), ("t_OC", _VECTOR), ("mu", _REAL), ("f_C", _VECTOR)]
+    )
 )
 _GAINS = pa.struct([("kp", _REAL), ("kd", _REAL)])
 
@@ -94,9 +96,26 @@ SCHEMA = pa.schema(
             "q_full", _REALS, _JOINT_UNIT, "values of all joints, coupled ones too, in the order of the description"
         ),
         _column("joint_names", _TEXTS, "", "names of the actuated joints: the order of q"),
+        _column(
+            "joint_names_full", _TEXTS, "", "names of all joints, coupled ones too: the order of q_full", nullable=True
+        ),
+        _column("X_WB", _POSE, _POSE_UNIT, "pose of the hand's base link in the world at the grasp", nullable=True),
         _column("X_WH_pregrasp", _POSE, _POSE_UNIT, "wrist pose of the pre-grasp", nullable=True),
         _column("q_pregrasp", _REALS, _JOINT_UNIT, "joint values of the pre-grasp", nullable=True),
-        _column("q_squeeze", _REALS, _JOINT_UNIT, "joint targets that apply the contact forces", nullable=True),
+        _column(
+            "tau_squeeze",
+            _REALS,
+            "N m or N",
+            "torques of the squeeze, in the order of joint_names: joints are driven by kp (q - q_now) + tau_squeeze",
+            nullable=True,
+        ),
+        _column(
+            "q_squeeze",
+            _REALS,
+            _JOINT_UNIT,
+            "targets of a squeeze without feed-forward: q + tau_squeeze / kp within the joint limits",
+            nullable=True,
+        ),
         _column("gains", _GAINS, "N m/rad, N m s/rad", "joint gains that q_squeeze was computed for", nullable=True),
         _column("source_grasp_id", _TEXT, "", "grasp that this one was retargeted from, empty for a source grasp"),
         _column("object_point_O", _VECTOR, "m", "object point that the hand heads for, in O", nullable=True),
@@ -104,9 +123,9 @@ SCHEMA = pa.schema(
         _column(
             "contacts",
             _CONTACTS,
-            "link: name, p_OC: m, n_OC: 1, mu: 1, f_C: N",
-            "certificate: contact points and normals into the object, in O, and forces on the object in the contact "
-            "frame, whose z axis is the normal",
+            "link: name, p_OC: m, n_OC: 1, t_OC: 1, mu: 1, f_C: N",
+            "certificate: contact points, normals into the object and tangents, in O, and forces on the object in the "
+            "contact frame, whose axes are the tangent, normal x tangent, and the normal",
             nullable=True,
         ),
         _column("wrench_residual", _REAL, "1", "certificate: norm of the unbalanced wrench over m g", nullable=True),
@@ -128,6 +147,20 @@ SCHEMA = pa.schema(
             nullable=True,
         ),
         _column(
+            "squeeze_margin",
+            _REAL,
+            "1",
+            "multiple of the pushes that constant targets resist without sliding",
+            nullable=True,
+        ),
+        _column(
+            "stiffness_least",
+            _REAL,
+            "N/m",
+            "least eigenvalue of the stiffness with which the hand holds the object, turns times lambda_m",
+            nullable=True,
+        ),
+        _column(
             "penetration_parts_cm",
             _REAL,
             "cm",
@@ -141,6 +174,12 @@ SCHEMA = pa.schema(
         _column("lift_height_m", _REAL, "m", "final rise of the object's center of mass", nullable=True),
         _column("fingertips", _TEXTS, "", "names of the fingers whose tip touched at the end", nullable=True),
         _column("lift_seconds", _REAL, "s", "wall time of the lift's simulation", nullable=True),
+        _column(
+            "holds", pa.bool_(), "", "whether the lifted object stayed in the hand under six pushes", nullable=True
+        ),
+        _column("hold_reason", _TEXT, "", "what went wrong and when, empty where it holds", nullable=True),
+        _column("hold_slip_m", _REAL, "m", "greatest slip in the hand since the end of the squeeze", nullable=True),
+        _column("hold_turn_rad", _REAL, "rad", "greatest turn in the hand since then", nullable=True),
         _column("seconds", _REAL, "s", "wall time spent on this grasp, without the lift"),
     ],
     metadata={
@@ -234,14 +273,19 @@ def row_from_grasp(
         "q": _floats(grasp.q),
         "q_full": _floats(hand.q_full(np.asarray(grasp.q))),
         "joint_names": list(hand.joint_names),
+        "joint_names_full": [joint.name for joint in hand.joints],
+        "X_WB": pose_to_list(grasp.X_WH @ RigidTransform(RotationMatrix(hand.R_HB), hand.p_HB)),
         "X_WH_pregrasp": None if grasp.X_WH_pregrasp is None else pose_to_list(grasp.X_WH_pregrasp),
         "q_pregrasp": _floats(grasp.q_pregrasp),
+        "tau_squeeze": _floats(grasp.tau_squeeze),
         "q_squeeze": _floats(grasp.q_squeeze),
         "gains": kp_kd,
         "source_grasp_id": grasp.source_grasp_id,
         "object_point_O": _floats(object_point_O),
         "source_object_point_O": _floats(source_object_point_O),
         **_certificate_columns(grasp.certificate),
+        "squeeze_margin": _number(grasp.squeeze_margin),
+        "stiffness_least": _number(grasp.stiffness_least),
         "penetration_parts_cm": _to_cm(grasp.penetration_parts_m),
         "penetration_mesh_cm": _to_cm(grasp.penetration_mesh_m),
         **lift_columns(grasp.lift),
@@ -266,7 +310,7 @@ def grasp_from_row(row: Mapping[str, Any]) -> Grasp:
         X = {}
         for column in ("X_WO", "X_WH", "X_WH_pregrasp"):
             X[column] = None if row[column] is None else pose_from_list(row[column])
-        q = {column: _array(row[column]) for column in ("q", "q_pregrasp", "q_squeeze")}
+        q = {column: _array(row[column]) for column in ("q", "q_pregrasp", "q_squeeze", "tau_squeeze")}
         if X["X_WO"] is None or X["X_WH"] is None or q["q"] is None:
             raise GraspFileError("X_WO, X_WH or q is null")
         column = "contacts"
@@ -282,11 +326,14 @@ def grasp_from_row(row: Mapping[str, Any]) -> Grasp:
             X_WH_pregrasp=X["X_WH_pregrasp"],
             q_pregrasp=q["q_pregrasp"],
             q_squeeze=q["q_squeeze"],
+            tau_squeeze=q["tau_squeeze"],
             lift=_lift_from_row(row),
             grasp_id=row["grasp_id"],
             source_grasp_id=row["source_grasp_id"],
             penetration_parts_m=_from_cm(row["penetration_parts_cm"]),
             penetration_mesh_m=_from_cm(row["penetration_mesh_cm"]),
+            squeeze_margin=_or_nan(row["squeeze_margin"]),
+            stiffness_least=_or_nan(row["stiffness_least"]),
             seconds=row["seconds"],
         )
     except KeyError as error:
@@ -334,7 +381,7 @@ def lift_columns(lift: Lift | None) -> Row:
     """
     if lift is None:
         names = ("protocol", "success", "failure_reason", "lift_height_m", "fingertips", "lift_seconds")
-        return dict.fromkeys(names)
+        return {**dict.fromkeys(names), **_hold_columns(None)}
     return {
         "protocol": lift.protocol,
         "success": bool(lift.success),
@@ -342,6 +389,19 @@ def lift_columns(lift: Lift | None) -> Row:
         "lift_height_m": float(lift.lift_height_m),
         "fingertips": list(lift.fingertips),
         "lift_seconds": float(lift.seconds),
+        **_hold_columns(lift.hold),
+    }
+
+
+def _hold_columns(hold: Hold | None) -> Row:
+    """The columns of a hold, None throughout without one."""
+    if hold is None:
+        return dict.fromkeys(("holds", "hold_reason", "hold_slip_m", "hold_turn_rad"))
+    return {
+        "holds": bool(hold.holds),
+        "hold_reason": hold.reason,
+        "hold_slip_m": _number(hold.slip_m),
+        "hold_turn_rad": _number(hold.turn_rad),
     }
 
 
@@ -354,9 +414,11 @@ def _check_agreement(grasp: Grasp, hand: Hand, object: ObjectFacts) -> None:
     elif grasp.object != object.name:
         problem = f"it is of object {grasp.object!r}, but the facts are of {object.name!r}"
     elif any(
-        q is not None and np.shape(q) != np.shape(hand.q_rest) for q in (grasp.q, grasp.q_pregrasp, grasp.q_squeeze)
+        q is not None and np.shape(q) != np.shape(hand.q_rest)
+        for q in (grasp.q, grasp.q_pregrasp, grasp.q_squeeze, grasp.tau_squeeze)
     ):
-        problem = f"q, q_pregrasp and q_squeeze must have {len(hand.q_rest)} values, one for each actuated joint"
+        names = "q, q_pregrasp, q_squeeze and tau_squeeze"
+        problem = f"{names} must have {len(hand.q_rest)} values, one for each actuated joint"
     elif certificate is not None:
         pairs = {
             "mass": (certificate.mass, object.mass),
@@ -390,6 +452,7 @@ def _certificate_columns(certificate: Certificate | None) -> Row:
             "link": contact.link,
             "p_OC": _floats(contact.p_OC),
             "n_OC": _floats(contact.n_OC),
+            "t_OC": tangent(contact.n_OC),
             "mu": float(contact.mu),
             "f_C": _floats(contact.f_C),
         }
@@ -404,6 +467,11 @@ def _certificate_columns(certificate: Certificate | None) -> Row:
         "witness_forces": _floats(certificate.witness_forces),
         "witness_direction": _floats(certificate.witness_direction),
     }
+
+
+def tangent(n_OC: Any) -> list[float]:
+    """First axis of the contact frame of a normal in O, shape (3,); the second one is n x t."""
+    return contact_frames(np.asarray(n_OC, dtype=np.float64))[:, 0].tolist()
 
 
 def _certificate_from_row(row: Mapping[str, Any], X_WO: RigidTransform) -> Certificate | None:
@@ -446,7 +514,15 @@ def _lift_from_row(row: Mapping[str, Any]) -> Lift | None:
         lift_height_m=row["lift_height_m"],
         fingertips=tuple(row["fingertips"]),
         seconds=row["lift_seconds"],
+        hold=_hold_from_row(row),
     )
+
+
+def _hold_from_row(row: Mapping[str, Any]) -> Hold | None:
+    """Hold of a row, None where its columns are null."""
+    if row["holds"] is None:
+        return None
+    return Hold(row["holds"], row["hold_reason"], _or_nan(row["hold_slip_m"]), _or_nan(row["hold_turn_rad"]))
 
 
 def _floats(values: Array | None) -> list[float] | None:
@@ -459,11 +535,21 @@ def _array(values: Any) -> Array | None:
     return None if values is None else np.array(values, dtype=np.float64)
 
 
+def _number(value: float) -> float | None:
+    """A number, None where it is not known: a missing number is null in the file, so that means leave it out."""
+    return None if np.isnan(value) else float(value)
+
+
+def _or_nan(value: float | None) -> float:
+    """A number, NaN where it is not known."""
+    return float("nan") if value is None else value
+
+
 def _to_cm(metres: float) -> float | None:
-    """Length in cm, None where it is not known: a missing number is null in the file, so that means leave it out."""
-    return None if np.isnan(metres) else float(metres) * _CM_PER_M
+    """Length in cm, None where it is not known."""
+    return _number(metres * _CM_PER_M)
 
 
 def _from_cm(centimetres: float | None) -> float:
     """Length in m, NaN where it is not known."""
-    return float("nan") if centimetres is None else centimetres / _CM_PER_M
+    return _or_nan(centimetres) / _CM_PER_M

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from xdex_drake.grasp import Array, Grasp
+from xdex_drake.arrays import Array
+from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 

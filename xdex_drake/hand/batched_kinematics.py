@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import skew, tree_levels
+from xdex_drake.arrays import Array, skew
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import tree_levels
 
 
 @dataclass(frozen=True)

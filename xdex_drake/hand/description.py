@@ -5,70 +5,28 @@ vendor's file) and `links[k]`, k >= 1, is the child of `joints[k - 1]`. The fram
 moves with it: X_PL(q) = X_PJ * exp(axis * q). Links that are rigidly attached in a vendor's file are merged into one.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
+from xdex_drake.hand.shapes import Box, Capsule, Convex, Geometry, Sphere
 
-
-@dataclass(frozen=True)
-class Sphere:
-    """A ball.
-
-    Attributes:
-        center: Center in L [m], shape (3,).
-        radius: Radius [m].
-    """
-
-    center: Array
-    radius: float
-
-
-@dataclass(frozen=True)
-class Capsule:
-    """All points within `radius` of the segment from `p0` to `p1`.
-
-    Attributes:
-        p0: First end of the segment in L [m], shape (3,).
-        p1: Second end of the segment in L [m], shape (3,).
-        radius: Radius [m].
-    """
-
-    p0: Array
-    p1: Array
-    radius: float
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box, its edges along the axes of its own frame G.
-
-    Attributes:
-        size: Full edge lengths [m], shape (3,).
-        p_LG: Center in L [m], shape (3,).
-        R_LG: Rotation of the box in L, shape (3, 3).
-    """
-
-    size: Array
-    p_LG: Array
-    R_LG: Array = field(default_factory=lambda: np.eye(3))
-
-
-@dataclass(frozen=True)
-class Convex:
-    """The convex hull of some points.
-
-    Attributes:
-        vertices: Points in L [m], shape (n, 3).
-    """
-
-    vertices: Array
-
-
-Geometry = Sphere | Capsule | Box | Convex
+__all__ = [
+    "Array",
+    "Box",
+    "Capsule",
+    "Convex",
+    "Coupling",
+    "Finger",
+    "Geometry",
+    "Hand",
+    "Joint",
+    "Link",
+    "Sphere",
+]
 
 
 @dataclass(frozen=True)

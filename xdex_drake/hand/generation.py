@@ -17,6 +17,7 @@ from xdex_drake.errors import ConfigError, UnknownHand
 from xdex_drake.hand.checks import check_hand, check_in_drake, repaired_rest
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.human import HumanShape, human_hand, sample_shape
+from xdex_drake.hand.shipped import shipped_hand
 from xdex_drake.hand.variation import Operation, apply_operation
 
 BASES = ("ability", "allegro", "inspire", "schunk_svh", "shadow")
@@ -134,11 +135,8 @@ def _draw(rng: np.random.Generator, *, human: bool) -> tuple[str, tuple[Operatio
         hand = replace(hand, sources={**hand.sources, "base": f"human({_shape_text(shape)})"})
         hand, operations = _vary_topology(rng, hand, int(rng.choice(4, p=[0.25, 0.35, 0.25, 0.15])))
         return "human", operations, hand
-    # Imported here: the library loads generated hands, too.
-    from xdex_drake.hand.library import load_hand
-
     base = str(rng.choice(BASES))
-    hand = load_hand(base)
+    hand = shipped_hand(base)
     hand = replace(hand, sources={**hand.sources, "base": base})
     # Topology first: scaling then treats duplicates each in its own way.
     hand, operations = _vary_topology(rng, hand, int(rng.choice(5, p=[0.05, 0.25, 0.3, 0.25, 0.15])))

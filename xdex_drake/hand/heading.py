@@ -5,9 +5,10 @@ hand without a thumb, or with nothing else, uses the mean of its tips.
 """
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from xdex_drake.hand.description import Array, Box, Capsule, Geometry, Hand, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.shapes import Geometry
 
 CONE = np.deg2rad(30.0)
 """Points farther from the heading than this angle are no candidates."""
@@ -72,22 +73,6 @@ def _center(geometry: tuple[Geometry, ...]) -> Array:
     """Centroid of a link's geometry by volume, overlaps counted twice; the origin without any, shape (3,)."""
     if not geometry:
         return np.zeros(3)
-    volumes, centers = zip(*(_volume_and_center(g) for g in geometry), strict=True)
-    return np.average(np.array(centers), axis=0, weights=np.maximum(volumes, 1e-12))
-
-
-def _volume_and_center(geometry: Geometry) -> tuple[float, Array]:
-    if isinstance(geometry, Sphere):
-        return 4.0 / 3.0 * np.pi * geometry.radius**3, geometry.center
-    if isinstance(geometry, Capsule):
-        length = float(np.linalg.norm(geometry.p1 - geometry.p0))
-        volume = np.pi * geometry.radius**2 * (length + 4.0 / 3.0 * geometry.radius)
-        return volume, 0.5 * (geometry.p0 + geometry.p1)
-    if isinstance(geometry, Box):
-        return float(np.prod(geometry.size)), geometry.p_LG
-    hull = ConvexHull(geometry.vertices, qhull_options="QJ")
-    apex = geometry.vertices.mean(axis=0)
-    corners = geometry.vertices[hull.simplices] - apex  # (n, 3, 3)
-    pieces = np.abs(np.linalg.det(corners)) / 6.0
-    volume = float(pieces.sum())
-    return volume, apex + pieces @ corners.sum(axis=1) / (4.0 * max(volume, 1e-15))
+    parts = [shape.volume() for shape in geometry]
+    weights = np.maximum([part.volume for part in parts], 1e-12)
+    return np.average(np.array([part.p_LCenter for part in parts]), axis=0, weights=weights)

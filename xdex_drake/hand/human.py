@@ -16,16 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from xdex_drake.hand.description import (
-    Array,
-    Capsule,
-    Convex,
-    Finger,
-    Geometry,
-    Hand,
-    Joint,
-    Link,
-)
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Capsule, Convex, Finger, Geometry, Hand, Joint, Link
 from xdex_drake.hand.inertia import link_inertia
 from xdex_drake.hand.kinematics import rotation_about
 from xdex_drake.hand.spheres import fit_spheres

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array, cross, skew
+from xdex_drake.hand.description import Hand
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
@@ -41,22 +42,6 @@ def rotation_about(axis: Array, angle: float) -> Array:
             [zv * x - s * y, zv * y + s * x, c + zv * z],
         ]
     )
-
-
-def skew(v: Array) -> Array:
-    """Cross-product matrices S with S u = v x u.
-
-    Args:
-        v: Vectors, shape (..., 3).
-
-    Returns:
-        Matrices, shape (..., 3, 3).
-    """
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
-    return out
 
 
 def forward_kinematics(hand: Hand, X_WH: RigidTransform, q: Array) -> tuple[Array, Array]:
@@ -153,14 +138,6 @@ def tree_levels(hand: Hand) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]]
     return tuple(
         (np.flatnonzero(depth == d), hand.parents[depth == d]) for d in range(1, int(depth.max(initial=0)) + 1)
     )
-
-
-def cross(a: Array, b: Array) -> Array:
-    """A x b along the last axis; `numpy.cross` takes ten times as long for few vectors."""
-    return a.take(_NEXT, -1) * b.take(_LAST, -1) - a.take(_LAST, -1) * b.take(_NEXT, -1)
-
-
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,16 @@
 """The hands of the library, by name; any other hand, by its file."""
 
-import difflib
-from functools import lru_cache
 from pathlib import Path
 
-from xdex_drake.data_files import data_folder
-from xdex_drake.errors import HandFileError, UnknownHand
+from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.shipped import list_hands, shipped_hand
 from xdex_drake.hand.yaml_file import read_hand
+
+__all__ = ["FORMATS", "ROBOT_FORMATS", "list_hands", "load_hand"]
 
 FORMATS = (".yaml", ".yml")
 ROBOT_FORMATS = (".urdf", ".xml", ".mjcf", ".sdf", ".xacro")
-
-
-def list_hands() -> tuple[str, ...]:
-    """Names of the library's hands, in alphabetical order."""
-    return tuple(sorted(path.stem for path in data_folder("hands").glob("*.yaml")))
 
 
 def load_hand(name_or_path: str | Path) -> Hand:
@@ -35,6 +30,7 @@ def load_hand(name_or_path: str | Path) -> Hand:
     """
     text = str(name_or_path)
     suffix = Path(text).suffix.lower()
+    # The importer and the generator are imported only where they are asked for: most commands need neither.
     if suffix in FORMATS:
         return read_hand(text)
     if suffix in ROBOT_FORMATS:
@@ -50,17 +46,4 @@ def load_hand(name_or_path: str | Path) -> Hand:
     generated = read_hand_name(text)
     if generated is not None:
         return generated_hand(*generated)
-    names = list_hands()
-    if text not in names:
-        close = difflib.get_close_matches(text.lower(), names, n=3, cutoff=0.4)
-        mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names) or 'none'}"
-        raise UnknownHand(
-            f"there is no hand {text!r}; {mend} (a path to a .yaml or .urdf file also works, and g0-0137 is a "
-            "generated hand)"
-        )
-    return _load_from_library(text)
-
-
-@lru_cache(maxsize=32)
-def _load_from_library(name: str) -> Hand:
-    return read_hand(data_folder("hands") / f"{name}.yaml")
+    return shipped_hand(text)

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Finger, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.description import Finger, Geometry, Hand, Joint, Link
 from xdex_drake.hand.inertia import link_inertia
+from xdex_drake.hand.shapes import FLIP
 from xdex_drake.hand.spheres import fit_spheres
-
-FLIP = np.array([1.0, -1.0, 1.0])
-"""Diagonal of the reflection S in the plane y = 0."""
 
 _OTHER = {"right": "left", "left": "right"}
 _NOTE = "mirror"
@@ -71,20 +70,10 @@ def _flip_rotation(R: Array) -> Array:
     return R * np.outer(FLIP, FLIP)
 
 
-def _mirrored_shape(shape: Geometry) -> Geometry:
-    if isinstance(shape, Sphere):
-        return Sphere(_flip(shape.center), shape.radius)
-    if isinstance(shape, Capsule):
-        return Capsule(_flip(shape.p0), _flip(shape.p1), shape.radius)
-    if isinstance(shape, Box):
-        return Box(shape.size, _flip(shape.p_LG), _flip_rotation(shape.R_LG))
-    return Convex(_flip(shape.vertices))
-
-
 def _mirrored_link(link: Link) -> Link:
     return Link(
         link.name,
-        tuple(_mirrored_shape(shape) for shape in link.geometry),
+        tuple(shape.mirrored() for shape in link.geometry),
         link.mass,
         _flip(link.p_LLcm),
         _flip_rotation(link.I_LLcm),
@@ -166,16 +155,5 @@ def _mesh_parts(path: Path, link: str, scale: float, p_LM: Array | None, R_LM: A
 def _moved_tip(finger: Finger, old: tuple[Geometry, ...], new: tuple[Geometry, ...]) -> Array:
     length = float(np.linalg.norm(finger.p_LTip))
     d = finger.p_LTip / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-    before = max((_reach(shape, d) for shape in old), default=length)
-    return finger.p_LTip + (max(_reach(shape, d) for shape in new) - before) * d
-
-
-def _reach(shape: Geometry, d: Array) -> float:
-    """Support function: how far a shape extends along a unit direction [m]."""
-    if isinstance(shape, Sphere):
-        return float(shape.center @ d) + shape.radius
-    if isinstance(shape, Capsule):
-        return float(max(shape.p0 @ d, shape.p1 @ d)) + shape.radius
-    if isinstance(shape, Box):
-        return float(shape.p_LG @ d + 0.5 * shape.size @ np.abs(shape.R_LG.T @ d))
-    return float((shape.vertices @ d).max())
+    before = max((shape.support(d) for shape in old), default=length)
+    return finger.p_LTip + (max(shape.support(d) for shape in new) - before) * d

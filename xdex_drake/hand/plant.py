@@ -1,5 +1,6 @@
 """A hand in a Drake plant. Programs, inverse kinematics and simulation all build their plants by this one function."""
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -29,9 +30,10 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
-from xdex_drake.hand.description import Array, Box, Capsule, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.description import Box, Capsule, Geometry, Hand, Joint, Link, Sphere
 
 JOINT_DAMPING = 0.01
 """Viscous damping of every joint [N m s/rad or N s/m]."""
@@ -41,6 +43,9 @@ DISSIPATION = 10.0
 
 FACET_RAD = np.pi / 18.0
 """Angle between neighbouring facets of a round shape in contact [rad]."""
+
+ShapeOf = Callable[[Geometry, str], tuple[Shape, RigidTransform]]
+"""What a primitive in L becomes in Drake, with a label for messages: a shape in its own frame G, and X_LG."""
 
 FINGER_COLORS = {
     "thumb": (0.84, 0.42, 0.30),
@@ -63,6 +68,7 @@ def add_hand(
     friction: float = 0.6,
     point_stiffness: float | None = None,
     pd_gains: tuple[float, float] | None = None,
+    shape_of: ShapeOf | None = None,
 ) -> ModelInstanceIndex:
     """Adds a hand to a plant that is not finalized.
 
@@ -78,6 +84,7 @@ def add_hand(
         friction: Coefficient of friction of the hand's surface, static and dynamic.
         point_stiffness: Stiffness of point contact [N/m], with `DISSIPATION`; Drake's default where None.
         pd_gains: Gains (K_p [N m/rad], K_d [N m s/rad]) of implicit PD control on every actuator; discrete plants only.
+        shape_of: What a primitive is in contact; `contact_shape` where None.
 
     Returns:
         The model instance.
@@ -93,7 +100,7 @@ def add_hand(
         properties = _proximity_properties(friction, point_stiffness)
         colors = link_colors(hand)
         ids = [
-            _add_geometry(plant, body, link, color, properties)
+            _add_geometry(plant, body, link, color, properties, shape_of or contact_shape)
             for body, link, color in zip(bodies, hand.links, colors, strict=True)
         ]
         _filter_collisions(plant, hand, ids)
@@ -201,12 +208,17 @@ def link_colors(hand: Hand) -> list[Array]:
 
 
 def _add_geometry(
-    plant: MultibodyPlant, body: RigidBody, link: Link, color: Array, properties: ProximityProperties
+    plant: MultibodyPlant,
+    body: RigidBody,
+    link: Link,
+    color: Array,
+    properties: ProximityProperties,
+    shape_of: ShapeOf,
 ) -> list[GeometryId]:
     ids = []
     for k, primitive in enumerate(link.geometry):
         name = f"{link.name}_{k}"
-        touching, X_LC = contact_shape(primitive, name)
+        touching, X_LC = shape_of(primitive, name)
         ids.append(plant.RegisterCollisionGeometry(body, X_LC, touching, name, properties))
         shape, X_LG = drake_shape(primitive, name)
         plant.RegisterVisualGeometry(body, X_LG, shape, name, color)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.shapes import Geometry, Round, Solid, values_of
 
 SCALLOP = 4e-4
 """Greatest depth of the groove between neighboring spheres of a capsule [m], where the number of spheres allows it."""
@@ -54,7 +55,7 @@ def fit_spheres(geometry: tuple[Geometry, ...]) -> Array:
     Returns:
         Rows (x, y, z, radius) in L [m], shape (n, 4); shape (0, 4) for a link without geometry.
     """
-    solids = sum(isinstance(shape, Box | Convex) for shape in geometry)
+    solids = sum(isinstance(shape, Solid) for shape in geometry)
     if len(geometry) >= 3 and solids >= 2:
         return _spheres_of_known_parts(_Key(-1, geometry)).copy()
     rows = [_spheres_of(k, geometry) for k in range(len(geometry))]
@@ -63,10 +64,8 @@ def fit_spheres(geometry: tuple[Geometry, ...]) -> Array:
 
 def _spheres_of(k: int, geometry: tuple[Geometry, ...]) -> Array:
     shape = geometry[k]
-    if isinstance(shape, Sphere):
-        return np.array([[*shape.center, shape.radius]])
-    if isinstance(shape, Capsule):
-        return _spheres_of_capsule(shape)
+    if isinstance(shape, Round):
+        return shape.balls(SCALLOP, MAX_PER_CAPSULE)
     # A box or hull takes some 50 ms; reading, writing and varying a hand all ask for the same ones.
     return _spheres_of_known_solid(_Key(k, geometry)).copy()
 
@@ -76,8 +75,8 @@ class _Key:
 
     def __init__(self, k: int, geometry: tuple[Geometry, ...]) -> None:
         self.k, self.geometry = k, geometry
-        values = [[type(shape).__name__, *map(np.asarray, vars(shape).values())] for shape in geometry]
-        self.value = (k, *(v if isinstance(v, str) else v.tobytes() for shape in values for v in shape))
+        values = [value for shape in geometry for value in values_of(shape)]
+        self.value = (k, *(v if isinstance(v, str) else np.asarray(v).tobytes() for v in values))
 
     def __hash__(self) -> int:
         return hash(self.value)
@@ -89,31 +88,21 @@ class _Key:
 @lru_cache(maxsize=256)
 def _spheres_of_known_solid(key: _Key) -> Array:
     shape = key.geometry[key.k]
-    assert isinstance(shape, Box | Convex)
+    assert isinstance(shape, Solid)
     return _spheres_of_solid(shape, key.geometry[: key.k] + key.geometry[key.k + 1 :])
 
 
-def _spheres_of_capsule(capsule: Capsule) -> Array:
-    length = float(np.linalg.norm(capsule.p1 - capsule.p0))
-    scallop = min(SCALLOP, capsule.radius)
-    spacing = 2.0 * np.sqrt(2.0 * capsule.radius * scallop - scallop**2)
-    count = min(MAX_PER_CAPSULE, int(np.ceil(length / spacing - 1e-9)) + 1)
-    s = np.linspace(0.0, 1.0, count)[:, None]
-    centers = capsule.p0 + s * (capsule.p1 - capsule.p0)
-    return np.column_stack([centers, np.full(count, capsule.radius)])
-
-
-def _spheres_of_solid(solid: Box | Convex, others: tuple[Geometry, ...]) -> Array:
+def _spheres_of_solid(solid: Solid, others: tuple[Geometry, ...]) -> Array:
     """Greedy cover of the surface by spheres whose centers lie inside."""
-    normals, offsets, corners = half_spaces(solid)
+    (normals, offsets), corners = solid.half_spaces(), solid.corners()
     low, high = corners.min(axis=0), corners.max(axis=0)
     # A grid of candidate centers, about `CANDIDATES` in number, and points on the surface at the same spacing.
     step = float(np.prod(high - low) / CANDIDATES) ** (1 / 3)
     centers, depth = _grid_inside(normals, offsets, corners, step)
     radii = depth + BULGE
-    points = _surface_points(corners, normals, offsets, spacing=step)
+    points = _surface_points(corners, step)
     for other in others:
-        points = points[signed_distance(other, points) > 0.0]
+        points = points[other.signed_distance(points) > 0.0]
     if len(points) == 0 or len(centers) == 0:
         center = corners.mean(axis=0)
         return np.array([[*center, float(np.min(offsets - normals @ center))]])
@@ -146,17 +135,17 @@ def _spheres_of_known_parts(key: _Key) -> Array:
 
 def _spheres_of_parts(geometry: tuple[Geometry, ...]) -> Array:
     """Greedy cover of the union's surface by spheres that may reach from one solid into the next."""
-    swept = [_spheres_of(k, geometry) for k, shape in enumerate(geometry) if isinstance(shape, Sphere | Capsule)]
+    swept = [_spheres_of(k, geometry) for k, shape in enumerate(geometry) if isinstance(shape, Round)]
     rows = np.concatenate([np.zeros((0, 4)), *swept])
-    solids = [half_spaces(shape) for shape in geometry if isinstance(shape, Box | Convex)]
-    others = [shape for shape in geometry if not isinstance(shape, Box | Convex)]
+    solids = [(*shape.half_spaces(), shape.corners()) for shape in geometry if isinstance(shape, Solid)]
+    others = [shape for shape in geometry if isinstance(shape, Round)]
     volumes = np.array([float(np.prod(np.ptp(corners, axis=0))) for _, _, corners in solids])
     step = float(volumes.sum() / CANDIDATES) ** (1 / 3)
 
     def outside(points: Array, but: int = -1) -> Array:
         """How far points lie outside of all solids (but one) and other shapes [m]."""
         distances = [(points @ n.T - d).max(axis=1) for k, (n, d, _) in enumerate(solids) if k != but]
-        distances += [signed_distance(other, points) for other in others]
+        distances += [other.signed_distance(points) for other in others]
         return np.min(distances, axis=0)
 
     centers, radii, points = [], [], []
@@ -164,7 +153,7 @@ def _spheres_of_parts(geometry: tuple[Geometry, ...]) -> Array:
         inside, depth = _grid_inside(normals, offsets, corners, step)
         centers.append(inside)
         radii.append(depth)
-        surface = _surface_points(corners, normals, offsets, spacing=0.8 * step)
+        surface = _surface_points(corners, 0.8 * step)
         points.append(surface[outside(surface, but=k) > 0.0])
     center, radius, point = np.concatenate(centers), np.concatenate(radii), np.concatenate(points)
     if len(rows) and len(point):
@@ -237,25 +226,7 @@ def _grid_inside(normals: Array, offsets: Array, corners: Array, step: float) ->
     return grid[depth > 0.0], depth[depth > 0.0]
 
 
-def half_spaces(solid: Box | Convex) -> tuple[Array, Array, Array]:
-    """A box or hull as {p: normals p <= offsets}, with its corners.
-
-    Args:
-        solid: The solid, in L.
-
-    Returns:
-        Outward unit normals, shape (n, 3); offsets [m], shape (n,); corners in L [m], shape (m, 3).
-    """
-    if isinstance(solid, Box):
-        normals = np.concatenate([solid.R_LG.T, -solid.R_LG.T])
-        offsets = normals @ solid.p_LG + np.tile(0.5 * solid.size, 2)
-        signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
-        return normals, offsets, solid.p_LG + (signs * solid.size) @ solid.R_LG.T
-    hull = ConvexHull(solid.vertices)
-    return hull.equations[:, :3], -hull.equations[:, 3], solid.vertices[hull.vertices]
-
-
-def _surface_points(corners: Array, normals: Array, offsets: Array, *, spacing: float) -> Array:
+def _surface_points(corners: Array, spacing: float) -> Array:
     """Points on the surface of a hull, about `spacing` apart, shape (n, 3)."""
     hull = ConvexHull(corners)
     points = [corners]
@@ -268,28 +239,3 @@ def _surface_points(corners: Array, normals: Array, offsets: Array, *, spacing: 
         u, v = i[keep] / n, j[keep] / n
         points.append(a + np.outer(u, b - a) + np.outer(v, c - a))
     return np.concatenate(points)
-
-
-def signed_distance(shape: Geometry, points: Array) -> Array:
-    """Signed distance of points to one primitive, negative inside.
-
-    Outside of a box it is exact; outside of a hull it is a lower bound near edges (the greatest face distance).
-
-    Args:
-        shape: The primitive, in L.
-        points: Points in L [m], shape (n, 3).
-
-    Returns:
-        Distances [m], shape (n,).
-    """
-    if isinstance(shape, Sphere):
-        return np.linalg.norm(points - shape.center, axis=1) - shape.radius
-    if isinstance(shape, Capsule):
-        d = shape.p1 - shape.p0
-        s = np.clip((points - shape.p0) @ d / max(float(d @ d), 1e-18), 0.0, 1.0)
-        return np.linalg.norm(points - shape.p0 - s[:, None] * d, axis=1) - shape.radius
-    if isinstance(shape, Box):
-        q = np.abs((points - shape.p_LG) @ shape.R_LG) - 0.5 * shape.size
-        return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
-    normals, offsets, _ = half_spaces(shape)
-    return (points @ normals.T - offsets).max(axis=1)

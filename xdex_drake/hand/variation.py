@@ -14,20 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.hand.description import (
-    Array,
-    Box,
-    Capsule,
-    Convex,
-    Coupling,
-    Finger,
-    Geometry,
-    Hand,
-    Joint,
-    Link,
-    Sphere,
-)
+from xdex_drake.hand.description import Coupling, Finger, Geometry, Hand, Joint, Link
 from xdex_drake.hand.inertia import ROTOR_INERTIA, link_inertia
 from xdex_drake.hand.kinematics import rotation_about
 from xdex_drake.hand.spheres import fit_spheres
@@ -216,7 +205,7 @@ def scale_links(hand: Hand, factors: Mapping[str, float]) -> Hand:
 
 
 def _scaled_link(link: Link, factor: float) -> Link:
-    geometry = tuple(_scaled_shape(shape, factor) for shape in link.geometry)
+    geometry = tuple(shape.scaled(factor) for shape in link.geometry)
     # Mass properties that were computed from the geometry are so again; others keep their form.
     mass, p_LLcm, I_LLcm = link_inertia(link.geometry, link.mass)
     if np.array_equal(p_LLcm, link.p_LLcm) and np.array_equal(I_LLcm, link.I_LLcm):
@@ -231,16 +220,6 @@ def _scaled_link(link: Link, factor: float) -> Link:
 def _refitted(link: Link, geometry: tuple[Geometry, ...], otherwise: Array) -> Array:
     """Spheres of changed geometry: fitted again where they were fitted before, else the ones that are given."""
     return fit_spheres(geometry) if np.array_equal(link.spheres, fit_spheres(link.geometry)) else otherwise
-
-
-def _scaled_shape(shape: Geometry, factor: float) -> Geometry:
-    if isinstance(shape, Sphere):
-        return Sphere(factor * shape.center, factor * shape.radius)
-    if isinstance(shape, Capsule):
-        return Capsule(factor * shape.p0, factor * shape.p1, factor * shape.radius)
-    if isinstance(shape, Box):
-        return Box(factor * shape.size, factor * shape.p_LG, shape.R_LG)
-    return Convex(factor * shape.vertices)
 
 
 # ---- topology
@@ -457,7 +436,7 @@ def _merged(parent: Link, child: Link, R: Array, p: Array) -> Link:
     """Two links as one, in the frame of the parent; R and p are the child's pose there."""
     if not child.geometry and not len(child.spheres):
         return parent  # the small mass of a hub is within what is known of any link's
-    geometry = (*parent.geometry, *(_moved_shape(shape, R, p) for shape in child.geometry))
+    geometry = (*parent.geometry, *(shape.moved(R, p) for shape in child.geometry))
     mass = parent.mass + child.mass
     p_cm = (parent.mass * parent.p_LLcm + child.mass * (p + R @ child.p_LLcm)) / mass
     derived = all(_is_derived(link) for link in (parent, child))
@@ -480,16 +459,6 @@ def _is_derived(link: Link) -> bool:
 
 def _offset_moment(p: Array) -> Array:
     return float(p @ p) * np.eye(3) - np.outer(p, p)
-
-
-def _moved_shape(shape: Geometry, R: Array, p: Array) -> Geometry:
-    if isinstance(shape, Sphere):
-        return Sphere(p + R @ shape.center, shape.radius)
-    if isinstance(shape, Capsule):
-        return Capsule(p + R @ shape.p0, p + R @ shape.p1, shape.radius)
-    if isinstance(shape, Box):
-        return Box(shape.size, p + R @ shape.p_LG, _orthonormal(R @ shape.R_LG))
-    return Convex(shape.vertices @ R.T + p)
 
 
 # ---- what the operations share

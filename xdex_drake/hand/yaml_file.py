@@ -19,21 +19,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import (
-    Array,
-    Box,
-    Capsule,
-    Convex,
-    Coupling,
-    Finger,
-    Geometry,
-    Hand,
-    Joint,
-    Link,
-    Sphere,
-)
+from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.inertia import link_inertia
+from xdex_drake.hand.shapes import values_of
 from xdex_drake.hand.spheres import fit_spheres
 
 MAX_BYTES = 5_000_000
@@ -65,7 +55,7 @@ def read_hand(path: str | Path) -> Hand:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise HandFileError(f"{path}: the file cannot be read ({error}); give a readable UTF-8 text file") from error
-    return _parse(text, str(path))
+    return parse_hand(text, str(path))
 
 
 def write_hand(hand: Hand, path: str | Path) -> None:
@@ -112,8 +102,7 @@ def hand_digest(hand: Hand) -> str:
         "side": hand.side,
         "wrist": [hand.p_HB, hand.R_HB],
         "links": [
-            [k.name, [_geometry_values(g) for g in k.geometry], k.mass, k.p_LLcm, k.I_LLcm, k.spheres]
-            for k in hand.links
+            [k.name, [values_of(g) for g in k.geometry], k.mass, k.p_LLcm, k.I_LLcm, k.spheres] for k in hand.links
         ],
         "joints": [
             [j.name, j.kind, j.parent, j.child, j.p_PJ, j.R_PJ, j.axis, j.lower, j.upper, j.effort]
@@ -138,10 +127,6 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, float):
         return "0" if abs(value) < 1e-12 else f"{value:.9g}"
     return value
-
-
-def _geometry_values(shape: Geometry) -> list[Any]:
-    return [type(shape).__name__, *vars(shape).values()]
 
 
 # ---- reading
@@ -267,7 +252,19 @@ class _Field:
         return np.array([row.vector(n) for row in rows])
 
 
-def _parse(text: str, file: str) -> Hand:
+def parse_hand(text: str, file: str) -> Hand:
+    """Reads a hand description from its text.
+
+    Args:
+        text: The text, as `hand_text` gives it.
+        file: Where it comes from, for messages.
+
+    Returns:
+        The hand, checked as by `read_hand`.
+
+    Raises:
+        HandFileError: It does not describe a hand.
+    """
     root = _Field(_load(text, file), file, "")
     fields = root.table(
         ("name", "display_name", "side", "wrist", "links", "joints", "fingers", "rest", "sources"),

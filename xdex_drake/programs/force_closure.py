@@ -8,13 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs import constraints
-from xdex_drake.programs.grasp_types import GraspType, approach_cost, contact_slots, spread_cost
+from xdex_drake.programs.costs import Cost, LeastSquares
+from xdex_drake.programs.grasp_types import GraspType, contact_slots
 from xdex_drake.programs.point import ContactSet, Point
-from xdex_drake.programs.program import Cost, GraspProgram, LeastSquares
-from xdex_drake.programs.search import Candidates, SearchSettings, search, sphere_pairs
+from xdex_drake.programs.program import GraspProgram
+from xdex_drake.programs.search import Candidates, SearchSettings, search
+from xdex_drake.programs.spheres import sphere_pairs
+from xdex_drake.programs.terms.approach import approach_cost
+from xdex_drake.programs.terms.spread import spread_cost
 from xdex_drake.scene.tabletop import Scene
 
 
@@ -276,14 +281,14 @@ def force_closure_program(
     """
     chosen = replace(search_settings or SearchSettings(), contacts=contacts, grasp_type=grasp_type, approach=approach)
     found = search(hand, scene, count=starts, seed=seed, settings=chosen)
-    return program_of_candidate(hand, scene, found, 0, settings=settings, extra_costs=wishes(hand, chosen))
+    return program_of_candidate(hand, scene, found, 0, settings=settings, extra_costs=wishes(chosen))
 
 
-def wishes(hand: Hand, settings: SearchSettings) -> tuple[Cost, ...]:
+def wishes(settings: SearchSettings) -> tuple[Cost, ...]:
     """Costs that hold a polish to what its search was asked for beside a grasp: approach and spread."""
     costs: list[Cost] = []
     if settings.approach is not None:
-        costs.append(approach_cost(hand, settings.approach, least=settings.approach_cosine))
+        costs.append(approach_cost(settings.approach, least=settings.approach_cosine))
     if settings.spread > 0.0:
         costs.append(spread_cost(settings.spread))
     return tuple(costs)

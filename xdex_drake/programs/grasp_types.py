@@ -1,4 +1,4 @@
-"""Grasp types: which fingers, and whether the palm, carry contact; and what else a user may ask of a grasp.
+"""Grasp types: which fingers, and whether the palm, carry contact, and from where a hand comes.
 
 A contact slot is a part of the hand that can touch: the tip link of each finger, in the order of `hand.fingers`, and
 after them the palm. A contact set is a row of booleans over the slots.
@@ -7,17 +7,16 @@ after them the palm. A contact set is a row of booleans over the slots.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import Configuration, skew
-from xdex_drake.programs import terms
-from xdex_drake.programs.point import Point
-from xdex_drake.programs.program import LeastSquares
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import Configuration
 
 GraspType = Literal["any", "pinch", "tripod", "power"]
 """`any`: the thumb and two or more others; `pinch`: the thumb and one other; `tripod`: the thumb and two others;
@@ -91,6 +90,20 @@ def random_contact_sets(
     return sets
 
 
+def finger_tips(hand: Hand) -> tuple[NDArray[np.int64], Array]:
+    """The tips of a hand's fingers, in the order of `hand.fingers`.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Indices of their links, shape (n_fingers,), and the points in those links' frames [m], shape (n_fingers, 3).
+    """
+    links = np.array([hand.link_index[f.tip_link] for f in hand.fingers])
+    return links, np.array([f.p_LTip for f in hand.fingers])
+
+
+@lru_cache(maxsize=64)
 def approach_axis(hand: Hand) -> tuple[Array, Array]:
     """Where a hand at rest would hold an object, and from which direction it comes, in H.
 
@@ -102,8 +115,7 @@ def approach_axis(hand: Hand) -> tuple[Array, Array]:
         palm to it.
     """
     at_rest = Configuration.at(hand, RigidTransform(), hand.q_rest)
-    links = np.array([hand.link_index[f.tip_link] for f in hand.fingers])
-    tips = at_rest.points(links, np.array([f.p_LTip for f in hand.fingers]))
+    tips = at_rest.points(*finger_tips(hand))
     thumb = np.array([f.name == "thumb" for f in hand.fingers])
     opposed = thumb.any() and not thumb.all()
     center = 0.5 * (tips[thumb].mean(0) + tips[~thumb].mean(0)) if opposed else tips.mean(0)
@@ -111,52 +123,3 @@ def approach_axis(hand: Hand) -> tuple[Array, Array]:
     roots = np.array([hand.link_index[f.links[0]] for f in hand.fingers])
     direction = center - at_rest.p_WLs[roots].mean(0)
     return center, direction / np.linalg.norm(direction)
-
-
-def approach_cost(
-    hand: Hand, direction_W: tuple[float, ...] | Array, *, least: float = 0.9, weight: float = 50.0
-) -> LeastSquares:
-    """A cost that keeps the palm's approach within a cone: 1/2 w max(0, least - a . d)^2.
-
-    Args:
-        hand: The hand.
-        direction_W: Direction in W that the palm shall come along, of any length, shape (3,); (0, 0, -1) is from
-            above.
-        least: Cosine that is enough.
-        weight: Weight.
-
-    Returns:
-        The cost; `program.add(approach_cost(hand, (0, 0, -1)))`.
-    """
-    a_H = approach_axis(hand)[1]
-    d = np.asarray(direction_W, dtype=float) / np.linalg.norm(direction_W)
-
-    def evaluate(point: Point) -> tuple[Array, Array]:
-        a_W = point.k.X_WH.rotation() @ a_H
-        value, gradient = terms.approach(a_W, d, least)
-        J = np.zeros((1, point.size))
-        J[0, :3] = gradient @ -skew(a_W)
-        return np.array([value]), J
-
-    return LeastSquares("approach", weight, evaluate, "palm's direction short of the one asked for")
-
-
-def spread_cost(least: float, *, weight: float = 50.0) -> LeastSquares:
-    """A cost that keeps contacts apart: 1/2 w (sum over pairs of max(0, least - distance) / 1 cm)^2.
-
-    Args:
-        least: Distance of the centers of contact spheres that is enough [m].
-        weight: Weight.
-
-    Returns:
-        The cost.
-    """
-
-    def evaluate(point: Point) -> tuple[Array, Array]:
-        points = point.contact_centers_W
-        value, gradient = terms.finger_spread(points, least, np.ones(len(points)))
-        J = np.zeros((1, point.size))
-        J[0, : 6 + len(point.k.q)] = np.einsum("ka,kab->b", gradient, point.contact_jacobian) / 0.01
-        return np.array([value / 0.01]), J
-
-    return LeastSquares("spread", weight, evaluate, "contacts nearer to each other than asked for, in cm")

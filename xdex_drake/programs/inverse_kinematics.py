@@ -17,8 +17,9 @@ import torch
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.hand.batched_kinematics import BatchedHand, LinkPoses, rotation_step
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration, forward_kinematics
 
 ARM = 0.03

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.inverse_kinematics import IkResult, link_pose_targets, solve_points

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
+from xdex_drake.arrays import Array, cross
 from xdex_drake.contact.cones import cone_edges, contact_frames
 from xdex_drake.hand.batched_kinematics import BatchedHand
-from xdex_drake.hand.description import Array, Hand
-from xdex_drake.hand.kinematics import cross
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.grasp_types import GraspType, Slot, contact_slots
 from xdex_drake.scene.tabletop import Scene
@@ -231,7 +231,7 @@ def sizes(hand: Hand, scene: Scene) -> str:
     )
 
 
-WORDS = {
+CONSTRAINT_WORDS = {
     "contact": "the fingers that shall touch do not all reach the object",
     "object": "the hand does not fit around the object without running into it",
     "table": "the hand does not fit between object and table",
@@ -241,25 +241,5 @@ WORDS = {
     "wrench": "contact forces do not balance the object's weight",
     "cone": "friction is too low for the forces that would balance the object's weight",
     "normal force": "contacts would have to press harder, or more lightly, than allowed",
-    "certificate": "the contacts do not hold the object within friction and the motors' efforts",
-    "task margin": "the contacts hold the object, but do not resist a push of its own weight",
-    "penetration": "the hand is more than the allowed depth inside the object",
-    "pregrasp": "no way was found to open the hand and come near the object without touching it",
 }
 """What it means that a constraint is left violated, for people."""
-
-
-def in_words(reason: str) -> str:
-    """A reason for which a candidate was rejected, in words.
-
-    Args:
-        reason: Name of a constraint, "certificate: ...", "task margin", "penetration" or "pregrasp".
-
-    Returns:
-        The name and what it means; the reason itself where it is not known.
-    """
-    name, _, detail = reason.partition(":")
-    words = WORDS.get(name)
-    if words is None:
-        return reason
-    return f"{name}: {words}" + (f" ({detail.strip()})" if detail.strip() else "")

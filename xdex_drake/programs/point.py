@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.scene.tabletop import Scene
 
@@ -48,7 +49,7 @@ class Point:
         scene: The scene.
         contacts: The contact set.
         forces: Forces on the object, in W, in units of the object's weight, shape (nc, 3).
-        memo: Values and Jacobians of costs and constraint blocks at this point, by name.
+        memo: What was computed at this point, by name: values and Jacobians of costs and constraint blocks, its view.
         known: Centers of all spheres [m], shape (n_spheres, 3), and lower bounds of their gaps [m], shape (n_spheres,),
             at the point from which this one was moved; None where there is none.
     """
@@ -57,7 +58,7 @@ class Point:
     scene: Scene
     contacts: ContactSet
     forces: Array
-    memo: dict[str, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    memo: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
     known: tuple[Array, Array] | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -90,7 +91,7 @@ class Point:
 
     @cached_property
     def _near(self) -> NDArray[np.int64]:
-        centers_O = self._to_object(self.centers_W)
+        centers_O = self.to_object(self.centers_W)
         low, high = self.scene.object.exact.lower, self.scene.object.exact.upper
         reach = FAR + self.k.hand.spheres[:, 3][:, None]
         near = np.all((centers_O > low - reach) & (centers_O < high + reach), axis=1)
@@ -114,13 +115,14 @@ class Point:
         least[near] = gaps
         return least
 
-    def _to_object(self, p_WPs: Array) -> Array:
+    def to_object(self, p_WPs: Array) -> Array:
+        """Points in the frame of the object [m], shape (m, 3)."""
         return (p_WPs - self.scene.X_WO.translation()) @ self.scene.X_WO.rotation().matrix()
 
     @cached_property
     def _near_query(self) -> tuple[Array, Array]:
         """Exact distance [m] of the near spheres' centers, and its unit gradient in W."""
-        result = self.scene.object.exact.query(self._to_object(self.centers_W[self._near]))
+        result = self.scene.object.exact.query(self.to_object(self.centers_W[self._near]))
         return result.distance, result.gradient @ self.scene.X_WO.rotation().matrix().T
 
     @cached_property
@@ -159,7 +161,7 @@ class Point:
         the exact one.
         """
         R_WO = self.scene.X_WO.rotation().matrix()
-        distance, gradient, slope = self.scene.object.grid.smooth(self._to_object(self.contact_centers_W))
+        distance, gradient, slope = self.scene.object.grid.smooth(self.to_object(self.contact_centers_W))
         return distance, -gradient @ R_WO.T, -R_WO @ slope @ R_WO.T
 
     @property

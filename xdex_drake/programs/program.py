@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -21,83 +20,15 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.solvers import MathematicalProgram
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
-from xdex_drake.programs.constraints import Block
+from xdex_drake.programs.block import Block
+from xdex_drake.programs.costs import Cost, EnergyCost, LeastSquares, UserCost
 from xdex_drake.programs.point import ContactSet, Point
+from xdex_drake.programs.term import Term
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
-
-
-@dataclass(frozen=True)
-class LeastSquares:
-    """A cost 1/2 weight |r(point)|^2.
-
-    Attributes:
-        name: Name in tables and results.
-        weight: Weight.
-        evaluate: Gives r, shape (m,), and its Jacobian with respect to the point's tangent, shape (m, size).
-        meaning: One line for tables.
-    """
-
-    name: str
-    weight: float
-    evaluate: Callable[[Point], tuple[Array, Array]]
-    meaning: str
-
-    def at(self, point: Point) -> tuple[Array, Array]:
-        """What `evaluate` gives, computed once for a point."""
-        key = f"cost {self.name}"
-        if key not in point.memo:
-            point.memo[key] = self.evaluate(point)
-        return point.memo[key]
-
-    def value(self, point: Point) -> float:
-        """The cost at a point."""
-        r, _ = self.at(point)
-        return 0.5 * self.weight * float(r @ r)
-
-    def gradient(self, point: Point) -> Array:
-        """Gradient with respect to the tangent, shape (size,)."""
-        r, J = self.at(point)
-        return self.weight * (r @ J)
-
-
-@dataclass(frozen=True)
-class UserCost:
-    """A cost weight * function(k) that a user wrote as a function of the hand's configuration alone.
-
-    Its gradient is taken by central differences over the 6 + n tangent directions, at the cost of as many forward
-    kinematics.
-
-    Attributes:
-        name: Name in tables and results.
-        weight: Weight.
-        function: The value at a configuration.
-        meaning: One line for tables.
-    """
-
-    name: str
-    weight: float
-    function: Callable[[Configuration], float]
-    meaning: str = "user's own"
-
-    def value(self, point: Point) -> float:
-        """The cost at a point."""
-        return self.weight * float(self.function(point.k))
-
-    def gradient(self, point: Point) -> Array:
-        """Gradient with respect to the tangent, shape (size,)."""
-        n, h = 6 + len(point.k.q), 1e-5
-        gradient = np.zeros(point.size)
-        for k in range(n):
-            step = np.zeros(n)
-            step[k] = h
-            gradient[k] = (self.function(point.k.moved(step)) - self.function(point.k.moved(-step))) / (2.0 * h)
-        return self.weight * gradient
-
-
-Cost = LeastSquares | UserCost
 
 
 class OutOfTime(RuntimeError):
@@ -214,9 +145,13 @@ class GraspProgram:
         """
         self._add_cost(UserCost(name, weight, function))
 
-    def add(self, cost: Cost) -> None:
-        """Adds a cost of the library, such as `approach_cost(hand, (0, 0, -1))`, seen by every solver."""
-        self._add_cost(cost)
+    def add(self, cost: Cost | Term) -> None:
+        """Adds a cost, such as `approach_cost((0, 0, -1))`, or an energy term, seen by every solver.
+
+        Args:
+            cost: The cost; a term is taken with its weight, as a search takes it.
+        """
+        self._add_cost(cost if isinstance(cost, LeastSquares | UserCost | EnergyCost) else EnergyCost(cost))
 
     def add_constraint(self, block: Block) -> None:
         """Adds a constraint of the user's own, seen by every solver."""

@@ -6,43 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.grasp import Grasp
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
-from xdex_drake.programs.inverse_kinematics import PointTargets, keypoint_targets, solve_points
-from xdex_drake.programs.point import Point
-from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_points
+from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import Candidates, SearchSettings, refine
+from xdex_drake.programs.terms.keypoints import keypoint_cost
 from xdex_drake.scene.tabletop import Scene
-
-KEYPOINT_SCALE = 0.01
-"""Distance at which a keypoint's cost is one half of its weight [m]."""
 
 IMPROVEMENT = 0.05
 """Gain of a step at which a feasible retargeting is good enough, for `solve`: keypoints then are within 2 % of what
 further steps reach (measured on four hands), in half of the time."""
-
-
-def keypoint_cost(targets: PointTargets, weight: float = 0.3) -> LeastSquares:
-    """Squared distances of keypoints from their targets, in units of `KEYPOINT_SCALE`.
-
-    Args:
-        targets: Points and targets, a batch of one.
-        weight: Weight.
-
-    Returns:
-        The cost.
-    """
-    scale = np.sqrt(targets.weights) / KEYPOINT_SCALE
-
-    def evaluate(point: Point) -> tuple[Array, Array]:
-        p_WPs = point.k.points(targets.links, targets.p_LPs)
-        J = point.k.jacobian(targets.links, p_WPs) * scale[:, None, None]
-        padded = np.zeros((J.shape[0] * 3, point.size))
-        padded[:, : J.shape[2]] = J.reshape(-1, J.shape[2])
-        return ((p_WPs - targets.p_WPs[0]) * scale[:, None]).ravel(), padded
-
-    return LeastSquares("keypoints", weight, evaluate, "distance of fingertips and wrist from the source's, in cm")
 
 
 def corresponding_fingers(fingers: set[str], target: Hand) -> NDArray[np.bool_]:

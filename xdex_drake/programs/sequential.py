@@ -14,7 +14,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 from xdex_drake.programs.constraints import TOLERANCES, Block
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram, LeastSquares

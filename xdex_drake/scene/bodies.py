@@ -28,7 +28,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody, RotationalInertia, SpatialInertia
 
-from xdex_drake.scene.convex_parts import convex_hull, grow
+from xdex_drake.scene.hulls import convex_hull, grow
 from xdex_drake.scene.object import Array, ObjectModel
 
 POINT_STIFFNESS = 1e5
@@ -147,10 +147,21 @@ def visual_mesh(object: ObjectModel) -> Mesh:
     Returns:
         The shape; its frame is O.
     """
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(visual_obj(object), ".obj", object.name)))
+
+
+def visual_obj(object: ObjectModel) -> str:
+    """The object's mesh as an OBJ file with normals.
+
+    Args:
+        object: The object.
+
+    Returns:
+        The file's text; its frame is O.
+    """
     # Faces that meet at an edge get normals of their own there; averaged ones smear the light over a can's rim.
     mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(object.vertices, object.faces, process=False), angle=0.5)
-    text = mesh.export(file_type="obj", include_normals=True)
-    return Mesh(InMemoryMesh(mesh_file=MemoryFile(str(text), ".obj", object.name)))
+    return str(mesh.export(file_type="obj", include_normals=True))
 
 
 def add_table(

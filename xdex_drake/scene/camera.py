@@ -10,7 +10,6 @@ from functools import cache
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import (
     ClippingRange,
     DepthRange,
@@ -26,11 +25,10 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.scene.bodies import visual_mesh
 from xdex_drake.scene.tabletop import Scene
-
-Array = NDArray[np.float64]
 
 _RENDERER = "depth"
 _PROBE = "from xdex_drake.scene.camera import _probe; _probe()"

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
+
 Faces = NDArray[np.int64]
 Part = tuple[Array, Faces]
 
@@ -251,6 +252,23 @@ class DistanceGrid:
             distance[beyond] = np.linalg.norm(offset, axis=1)
             gradient[beyond] = offset / distance[beyond, None]
         return distance, gradient
+
+    def lower_bounds(self, points_O: Array) -> Array:
+        """Trilinear distances; beyond the grid a bound that no true distance falls short of.
+
+        A point p beyond the grid's box, which holds the whole surface, and the nearest point b of the box: the angle at
+        b between p and any surface point is a right one or wider, so that distance(p)^2 >= distance(b)^2 + |p - b|^2.
+
+        Args:
+            points_O: Points in O [m], shape (n, 3).
+
+        Returns:
+            Distances [m], negative inside, shape (n,); exact but for the grid's own error on it.
+        """
+        cells = ((points_O - self.origin) / self.spacing).T
+        distance = ndimage.map_coordinates(self.values, cells, order=1, mode="nearest")
+        beyond = np.maximum(np.maximum(self.origin - points_O, points_O - self.upper), 0.0)
+        return np.hypot(distance, np.sqrt((beyond * beyond).sum(axis=1))) * np.where(distance < 0.0, -1.0, 1.0)
 
     def smooth(self, points_O: Array) -> tuple[Array, Array, Array]:
         """Trilinear distances and unit gradients, with the derivative of the gradients that belongs to them.

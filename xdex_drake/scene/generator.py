@@ -15,7 +15,8 @@ from manifold3d import CrossSection, JoinType, Manifold
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
+
 Faces = NDArray[np.int64]
 
 NAME = re.compile(r"s(\d{1,9})-(\d{4,9})")

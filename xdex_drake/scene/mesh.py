@@ -10,8 +10,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
-from xdex_drake.mesh_file import Array, Faces, read_triangles
+from xdex_drake.mesh_file import Faces, read_triangles
 
 MAX_BYTES = 500_000_000
 """Largest mesh file: two million triangles written as text."""

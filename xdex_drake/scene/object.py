@@ -12,21 +12,16 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.cache import cache_folder
 from xdex_drake.errors import ObjectFileError, UnknownObject
-from xdex_drake.scene.convex_parts import (
-    convex_hull,
-    convex_parts,
-    mesh_digest,
-    read_cache,
-    write_cache,
-)
+from xdex_drake.scene.convex_parts import convex_parts, mesh_digest, read_cache, write_cache
 from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
 from xdex_drake.scene.generator import generated_mesh, is_shape_name
+from xdex_drake.scene.hulls import convex_hull
 from xdex_drake.scene.mesh import TriangleMesh, clean_mesh, read_mesh
 from xdex_drake.scene.procedural import list_objects, procedural_mesh
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
 

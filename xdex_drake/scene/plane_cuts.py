@@ -11,9 +11,9 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.scene.distance import Part, sample_surface
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 SPACING = 2.5e-3

@@ -31,13 +31,19 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.plant import add_hand
 from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.tabletop import Scene
 
 RESOLUTION_M = 5e-3
 """Edge of the triangles of round hydroelastic surfaces [m]."""
+
+CARRIAGE_MASS = 1.0
+"""Mass of each of the three slides that carry the wrist, balls of `CARRIAGE_RADIUS` [kg]."""
+
+CARRIAGE_RADIUS = 0.05
 
 
 @dataclass(frozen=True)
@@ -177,7 +183,7 @@ def build_plant(
     mount = None
     if carriage:
         carriage_instance = plant.AddModelInstance("carriage")
-        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.05)
+        inertia = SpatialInertia.SolidSphereWithMass(CARRIAGE_MASS, CARRIAGE_RADIUS)
         parent = plant.world_body()
         for name, axis in zip("xyz", np.eye(3), strict=True):
             body = plant.AddRigidBody(f"carriage_{name}", carriage_instance, inertia)

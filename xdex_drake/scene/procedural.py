@@ -7,7 +7,8 @@ import trimesh
 from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from xdex_drake.arrays import Array
+
 Faces = NDArray[np.int64]
 
 SIDES = 48

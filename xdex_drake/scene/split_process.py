@@ -14,9 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
-from xdex_drake.mesh_file import Array, Faces
+from xdex_drake.mesh_file import Faces
 from xdex_drake.scene.distance import Part
+from xdex_drake.scene.splitting import TooDetailed, refine, split, split_coarsely
 
 _log = logging.getLogger(__name__)
 
@@ -102,8 +104,6 @@ def _limit(kind: int, value: int) -> None:
 
 def main() -> None:
     """The child: reads `mesh.npz` of a folder and writes the parts beside it."""
-    from xdex_drake.scene.convex_parts import TooDetailed, refine, split, split_coarsely
-
     folder, way, cpu_s = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
     _limit(resource.RLIMIT_CPU, round(cpu_s + 2.0))  # Two seconds for what was imported.
     _limit(resource.RLIMIT_CORE, 0)

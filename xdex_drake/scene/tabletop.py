@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, DiscreteContactApproximation
@@ -16,11 +15,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial import KDTree
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.scene.bodies import add_object, add_table
 from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, ObjectModel, load_object
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 ROUNDING = (0.0, 1e-4, 3e-4, 1e-3)

@@ -31,6 +31,30 @@ class Shaking:
 
 
 @dataclass(frozen=True)
+class HoldTest:
+    """What comes after a lift: the hand holds still, then the object is pushed along +x, -x, +y, -y, +z and -z of W.
+
+    Each push starts from the state after holding still. Slip is the distance of the object's center of mass from where
+    it was in the wrist frame at the end of the squeeze, turn the angle since then; the greatest values over time count.
+
+    Attributes:
+        still_s: Duration of holding still [s].
+        weights: Force of a push at the center of mass [m g].
+        ramp_s: Time in which it grows, linearly [s].
+        push_s: Time for which it then stays [s].
+        max_slip_m: Bound of the slip [m].
+        max_turn_rad: Bound of the turn [rad].
+    """
+
+    still_s: float = 2.0
+    weights: float = 1.0
+    ramp_s: float = 0.1
+    push_s: float = 0.4
+    max_slip_m: float = 0.02
+    max_turn_rad: float = float(np.deg2rad(15.0))
+
+
+@dataclass(frozen=True)
 class LiftProtocol:
     """A lift from the table.
 
@@ -53,12 +77,11 @@ class LiftProtocol:
         mass_kg: Mass of the object [kg], None for its own.
         density: Density of the object [kg/m^3], None for its own mass; unused where `mass_kg` is given.
         friction: Coefficient of friction of the object, None for its own; that of hand and table is in `plant`.
-        squeeze_kp: Gain that a grasp's squeeze targets are for [N m/rad]; another one in `plant` plays them rescaled,
-            so that they command the same torques.
         start_depth_m: Penetration of hand and object that is forgiven at the start [m].
         max_height_error_m: Greatest difference of the object's rise from the wrist's [m], None for any.
         max_shift_m: Greatest distance of the object from where the rise should have carried it [m], None for any.
         max_turn_rad: Greatest turn of the object [rad], None for any.
+        hold: What comes after the lift, None for nothing; it has a verdict of its own.
         differs: How a peers' protocol differs here from the one that was published, in words.
     """
 
@@ -77,11 +100,11 @@ class LiftProtocol:
     mass_kg: float | None = None
     density: float | None = None
     friction: float | None = None
-    squeeze_kp: float = 1.0
     start_depth_m: float = 0.0
     max_height_error_m: float | None = None
     max_shift_m: float | None = None
     max_turn_rad: float | None = None
+    hold: HoldTest | None = None
     differs: str = ""
 
     @property
@@ -135,7 +158,10 @@ BENCH_LIFT = LiftProtocol(
 )
 """The tabletop lift of DexGraspBench (Chen et al., 2025), main branch: 100 g, 10 x 10 steps of 4 ms a phase."""
 
-PROTOCOLS = {protocol.name: protocol for protocol in (LIFT, FROGGER_LIFT, BENCH_LIFT)}
+HOLD = replace(LIFT, name="hold", cpu_limit_s=60.0, hold=HoldTest())
+"""The lift of `LIFT`, then two seconds of holding and six pushes of the object's weight."""
+
+PROTOCOLS = {protocol.name: protocol for protocol in (LIFT, HOLD, FROGGER_LIFT, BENCH_LIFT)}
 """The protocols by their names."""
 
 

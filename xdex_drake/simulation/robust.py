@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,8 +46,8 @@ class RobustLift:
     """What repeated lifts showed.
 
     Attributes:
-        lift: All repeats as one verdict: it succeeds where each one does; else it is the first that failed, of
-            protocol `robust:` and the name of the repeated one.
+        lift: All repeats as one verdict: it succeeds where each one does; else it is the first that failed to lift, or
+            to hold where all lift, of protocol `robust:` and the name of the repeated one.
         poses: The repeats under errors of pose.
         slippery: The repeat with less friction.
         heavy: The repeat with more mass.
@@ -60,11 +61,17 @@ class RobustLift:
     @property
     def share(self) -> float:
         """Share of all repeats that succeeded."""
-        return float(np.mean([one.success for one in (*self.poses, self.slippery, self.heavy)]))
+        return float(np.mean([one.passed for one in (*self.poses, self.slippery, self.heavy)]))
 
 
 def robust_lift(
-    grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, settings: RobustSettings = ROBUST
+    grasp: Grasp,
+    hand: Hand,
+    scene: Scene,
+    *,
+    protocol: LiftProtocol = LIFT,
+    settings: RobustSettings = ROBUST,
+    lift: Callable[..., Lift] = lift,
 ) -> RobustLift:
     """Repeats a lift under errors of pose, with less friction, and with more mass.
 
@@ -74,6 +81,7 @@ def robust_lift(
         scene: Its scene.
         protocol: The protocol of each repeat.
         settings: The errors.
+        lift: Plays one lift: that of Drake, or `simulation.mujoco.lift`.
 
     Returns:
         The verdicts.
@@ -95,8 +103,9 @@ def robust_lift(
     heavier = with_physics(scene, mass=settings.mass_factor * model.mass, friction=model.friction)
     heavy = lift(grasp, hand, heavier, protocol=protocol)
     every = (*poses, slippery, heavy)
-    first = next((one for one in every if not one.success), min(every, key=lambda one: one.lift_height_m))
-    verdict = replace(first, protocol=f"robust:{protocol.name}", seconds=sum(one.seconds for one in every))
+    failed = [one for one in every if not one.success] or [one for one in every if not one.passed]
+    first = failed[0] if failed else min(every, key=lambda one: one.lift_height_m)
+    verdict = replace(first, protocol=f"robust:{first.protocol}", seconds=sum(one.seconds for one in every))
     return RobustLift(verdict, poses, slippery, heavy)
 
 

@@ -11,7 +11,7 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context
 
-from xdex_drake.hand.description import Array
+from xdex_drake.arrays import Array
 
 NEWTONS_PER_METER = 50.0
 """Force that an arrow of one metre stands for [N/m]."""

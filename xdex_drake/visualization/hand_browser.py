@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from pydrake.geometry import Meshcat, Rgba
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.checks import hand_size
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.plant import drake_shape, link_colors
 from xdex_drake.visualization.pictures import FOV_Y
 from xdex_drake.visualization.replay import start_meshcat

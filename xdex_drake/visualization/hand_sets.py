@@ -14,8 +14,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import build_plant
 from xdex_drake.visualization.pictures import (
     FOV_Y,
@@ -28,7 +29,7 @@ from xdex_drake.visualization.pictures import (
 from xdex_drake.visualization.views import frame_blobs, hand_blobs
 
 if TYPE_CHECKING:
-    from xdex_drake.dataset.hand_sets import HandRow
+    from xdex_drake.jobs.hands import HandRow
 
 VIEW = (0.80, 0.55, 0.30)
 """Direction in H from a hand toward the camera."""

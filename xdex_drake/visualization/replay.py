@@ -25,9 +25,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from xdex_drake.contact.certificate import contact_geometry
+from xdex_drake.arrays import Array
+from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Array, Grasp, Lift
+from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
 from xdex_drake.scene.plant import build_plant
@@ -227,7 +228,7 @@ def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
 
 
 def _require_lift(grasp: Grasp) -> None:
-    if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.q_squeeze is None:
+    if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.tau_squeeze is None:
         raise ConfigError(
             f"grasp {grasp.grasp_id or grasp.hand}: it has no pre-grasp or squeeze; lift it first, or show it still"
         )
@@ -304,10 +305,7 @@ def _draw_certificate(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
     certificate = grasp.certificate
     assert certificate is not None
     contacts = certificate.contacts
-    R_WO = grasp.X_WO.rotation().matrix()
-    R_WCs, _ = contact_geometry(
-        np.array([c.p_OC for c in contacts]), np.array([c.n_OC for c in contacts]), R_WO, certificate.p_OOcm
-    )
+    R_WCs = grasp.X_WO.rotation().matrix() @ contact_frames([c.n_OC for c in contacts])
     for k, contact in enumerate(contacts):
         p_WC = grasp.X_WO @ contact.p_OC
         meshcat.SetObject(f"{path}/points/{k}", Sphere(0.003), Rgba(*FORCE_COLOR))

@@ -19,6 +19,7 @@ from PIL import Image as PillowImage
 
 from xdex_drake.errors import ConfigError, XdexError
 from xdex_drake.grasp import Grasp, Lift
+from xdex_drake.grasping.tally import Tally, counted
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
@@ -38,22 +39,12 @@ class ReportRow:
     Attributes:
         hand: Name of the hand.
         object: Name of the object.
-        tried: Candidates that were tried.
-        certified: How many of them were certified.
-        lifted: How many of these were lifted.
-        seconds: Wall time of all of it [s].
-        rejected: How often each reason rejected a candidate.
-        failed: How often each reason failed a lift.
+        tally: What became of the candidates, and how long it took.
     """
 
     hand: str
     object: str
-    tried: int
-    certified: int
-    lifted: int
-    seconds: float
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    failed: Mapping[str, int] = field(default_factory=dict)
+    tally: Tally
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +112,7 @@ def show_grasp(
         picture = render_grasp(grasp, hand, scene, size=size)
     else:
         _log.warning("pictures cannot be rendered on this machine; the report goes without")
-    if replay and grasp.q_squeeze is not None and grasp.q_pregrasp is not None:
+    if replay and grasp.tau_squeeze is not None and grasp.q_pregrasp is not None:
         try:
             page = record_lift(grasp, hand, scene, protocol=protocol).html
         except XdexError as error:
@@ -219,9 +210,10 @@ def _seconds(value: float) -> str:
     return _number(value, ".1f" if value < 100.0 else ".0f", " s")
 
 
-def _counts(counts: Mapping[str, int]) -> str:
-    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{_e(reason.replace('_', ' '))} {count}" for reason, count in ordered)
+def _why(tally: Tally) -> list[str]:
+    """Why candidates and lifts failed, as far as some did."""
+    kinds = (("rejected candidates", tally.rejected), ("failed lifts", tally.failed))
+    return [f"{what}: {_e(counted(reasons).replace('_', ' '))}" for what, reasons in kinds if reasons]
 
 
 def _table(rows: Sequence[ReportRow]) -> str:
@@ -229,30 +221,16 @@ def _table(rows: Sequence[ReportRow]) -> str:
         shown = "".join(f"<{tag}{' class=n' if k > 1 else ''}>{cell}</{tag}>" for k, cell in enumerate(cells))
         return f"<tr{kind}>{shown}</tr>"
 
-    body = [
-        line(
-            [_e(r.hand), _e(r.object), str(r.tried), str(r.certified), str(r.lifted), _e(_seconds(r.seconds))],
-            "td",
-        )
-        for r in rows
-    ]
-    total = ""
-    if len(rows) > 1:
-        sums = [str(sum(getattr(r, name) for r in rows)) for name in ("tried", "certified", "lifted")]
-        total = line(["all", "", *sums, _e(_seconds(sum(r.seconds for r in rows)))], "td", " class=total")
+    def counts_of(tally: Tally) -> list[str]:
+        return [str(tally.tried), str(tally.certified), str(tally.lifted), _e(_seconds(tally.seconds))]
+
+    body = [line([_e(r.hand), _e(r.object), *counts_of(r.tally)], "td") for r in rows]
+    whole = Tally()
+    for row in rows:
+        whole.merge(row.tally)
+    total = line(["all", "", *counts_of(whole)], "td", " class=total") if len(rows) > 1 else ""
     reasons = "".join(
-        f"<li><b>{_e(r.hand)}, {_e(r.object)}:</b> "
-        + "; ".join(
-            part
-            for part in (
-                f"rejected candidates: {_counts(r.rejected)}" if r.rejected else "",
-                f"failed lifts: {_counts(r.failed)}" if r.failed else "",
-            )
-            if part
-        )
-        + "</li>"
-        for r in rows
-        if r.rejected or r.failed
+        f"<li><b>{_e(r.hand)}, {_e(r.object)}:</b> {'; '.join(why)}</li>" for r in rows if (why := _why(r.tally))
     )
     head = line(["hand", "object", "tried", "certified", "lifted", "time"], "th")
     details = (

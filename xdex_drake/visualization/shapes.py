@@ -16,10 +16,10 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
+from xdex_drake.arrays import Array
 from xdex_drake.scene.bodies import OBJECT_COLOR
 from xdex_drake.visualization.pictures import FOV_Y, Image, add_renderer, color_image, require_rendering
 
-Array = NDArray[np.float64]
 ELEVATION = 0.45
 """Elevation from which a shape is seen [rad]."""
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
-from xdex_drake.grasp import Array, Grasp
+from xdex_drake.arrays import Array
+from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.scene.camera import look_at

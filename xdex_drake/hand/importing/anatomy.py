@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Member, Tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions
 from xdex_drake.hand.importing.finger_names import FINGER_NAMES, named_fingers
@@ -20,6 +21,15 @@ PARALLEL = 0.7
 
 TIP_INSET = 0.012
 """A frame that the file sets at a fingertip lies at most this far before the end of the shape [m]."""
+
+BLUNT = 0.12
+"""The share of a link's length that counts as its end where the direction to the tip is looked for."""
+
+PHALANX = 0.5
+"""A step from joint to joint that is shorter than this share of the finger's longest is a hub, no phalanx."""
+
+STRAY = np.deg2rad(40.0)
+"""A first phalanx that leads farther than this away from the tip does not tell the finger's direction [rad]."""
 
 NO_SHAPE_TIP = 0.02
 """Length of a last link of which nothing is known [m]."""
@@ -36,7 +46,7 @@ class Digit:
         closing: For each actuated joint, +1 or -1 where it bends the finger that way, else 0; shape (n,).
         axis: Axis in B that the finger bends about at the zero posture, counterclockwise; zero for sliders, shape (3,).
         sweep: Unit vector in B along which the tip moves when the finger begins to close, shape (3,).
-        along: Unit vector in B from the first joint to the next one at the zero posture, shape (3,).
+        along: Unit vector in B along the finger at the zero posture, shape (3,).
         p_BRoot: First joint's center at the zero posture [m], shape (3,).
         p_BTip: Tip at the zero posture [m], shape (3,).
     """
@@ -135,6 +145,12 @@ def _far_end(hand: Hand, body: int, points: Array, palm: Array) -> tuple[Array, 
         ahead = points if len(ahead) == 0 else ahead
         u = ahead[int(np.linalg.norm(ahead, axis=1).argmax())]
         u = u / max(float(np.linalg.norm(u)), 1e-9)
+        # Of a blunt end, from the corner that happens to be farthest to its middle.
+        for _ in range(3):
+            s = points @ u
+            end = points[s > s.max() - BLUNT * max(float(s.max()), 1e-9)]
+            u = 0.5 * (end.min(axis=0) + end.max(axis=0))
+            u = u / max(float(np.linalg.norm(u)), 1e-9)
     top = points[points @ u > (points @ u).max() - 3e-3]
     return 0.5 * (top.min(axis=0) + top.max(axis=0)), u
 
@@ -162,11 +178,30 @@ def find_digits(tree: Tree, chains: list[Chain], decisions: Decisions) -> list[D
         closing, axis = _closing(hand, chains, tips, n, decisions)
         sweep = _sweep(hand, tip, tips[n], closing)
         pad = _pad(hand, tip, tips[n], closing, axis, sweep)
-        centers = [p[k] for k in chain.bodies] + [p_BTip]
-        ahead = next((c - centers[0] for c in centers[1:] if np.linalg.norm(c - centers[0]) > 2e-3), np.zeros(3))
-        along = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-        digits.append(Digit(chain, tips[n], pad, closing, axis, sweep, along, centers[0], p_BTip))
+        along = _along(hand, chain, R, p, p_BTip)
+        digits.append(Digit(chain, tips[n], pad, closing, axis, sweep, along, p[chain.bodies[0]], p_BTip))
     return _facing(hand, digits) if len(digits) == 2 else digits
+
+
+def _along(hand: Hand, chain: Chain, R: Array, p: Array, p_BTip: Array) -> Array:
+    """Unit vector along a finger at the zero posture, in B.
+
+    It is that of the first phalanx, from where the finger begins to bend on. A phalanx leads to a joint that bends the
+    finger or to the tip; hubs, which may step aside, are shorter than half of the longest one. Where the finger as a
+    whole leads elsewhere, the way from there to the tip counts.
+    """
+    turning = [k for k in chain.bodies if hand.joints[k - 1].kind == "revolute"]
+    axes = {k: R[k] @ hand.joints[k - 1].axis for k in turning}
+    bending = [k for k in turning if abs(axes[k] @ axes[turning[-1]]) > PARALLEL]
+    first = chain.bodies.index(bending[0]) if bending else 0
+    ways = np.diff(np.array([*(p[k] for k in chain.bodies[first:]), p_BTip]), axis=0)
+    ways = ways[[k in bending or not bending for k in chain.bodies[first + 1 :]] + [True]]
+    sizes = np.linalg.norm(ways, axis=1)
+    whole = p_BTip - p[chain.bodies[first]]
+    way = ways[int(np.argmax(sizes >= PHALANX * sizes.max()))]
+    if way @ whole < np.cos(STRAY) * np.linalg.norm(way) * np.linalg.norm(whole):
+        way = whole
+    return way / max(float(np.linalg.norm(way)), 1e-9)
 
 
 def _facing(hand: Hand, digits: list[Digit]) -> list[Digit]:

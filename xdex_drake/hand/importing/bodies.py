@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Coupling, Hand, Joint, Link
+from xdex_drake.hand.description import Coupling, Hand, Joint, Link
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileJoint, FileLink, FileModel
 from xdex_drake.hand.kinematics import rotation_about
@@ -87,13 +88,22 @@ def link_poses(hand: Hand, qs: Array) -> tuple[Array, Array]:
     return R, p
 
 
-def build_tree(model: FileModel, base: str | None, decisions: Decisions) -> Tree:
+def build_tree(
+    model: FileModel,
+    base: str | None,
+    decisions: Decisions,
+    *,
+    without: frozenset[str] = frozenset(),
+    apart: frozenset[str] = frozenset(),
+) -> Tree:
     """Merges rigidly attached links and resolves mimic laws, from one link on.
 
     Args:
         model: A checked robot.
         base: Name of a link of the body at which the tree starts; what is behind it is left out. None for the root.
         decisions: Grows by what was decided.
+        without: Names of joints that are left out with all that they carry.
+        apart: Names of links that are no part of the hand, also where the base is fixed to them.
 
     Returns:
         The tree.
@@ -104,12 +114,13 @@ def build_tree(model: FileModel, base: str | None, decisions: Decisions) -> Tree
     inbound = {joint.child: joint for joint in model.joints}
     outbound: dict[str, list[FileJoint]] = {link.name: [] for link in model.links}
     for joint in model.joints:
-        outbound[joint.parent].append(joint)
+        if joint.name not in without:
+            outbound[joint.parent].append(joint)
     links = {link.name: link for link in model.links}
     limits = {joint.name: _limits(joint, []) for joint in model.joints if joint.kind != "fixed"}
     held = _held_values(model, limits, set(), [])
     start = base if base is not None else next(link.name for link in model.links if link.name not in inbound)
-    while start in inbound and inbound[start].name in held:
+    while start in inbound and inbound[start].name in held and inbound[start].parent not in apart:
         start = inbound[start].parent
     # Once more for the joints of the hand alone, to say what was decided about them.
     ours = _joints_beyond(start, outbound)
@@ -134,7 +145,7 @@ def build_tree(model: FileModel, base: str | None, decisions: Decisions) -> Tree
             for out in outbound[name]:
                 X_LJ = X_LF @ homogeneous(out.R_PJ, out.p_PJ)
                 if out.name in held:
-                    inside.append((out.child, X_LJ @ _motion(out, held[out.name])))
+                    inside.append((out.child, X_LJ @ joint_motion(out, held[out.name])))
                 else:
                     beyond.append((out.child, len(bodies), out, X_LJ))
         bodies.append(tuple(members))
@@ -233,7 +244,8 @@ def _limits(joint: FileJoint, decisions: Decisions) -> tuple[float, float]:
     return lower, upper
 
 
-def _motion(joint: FileJoint, q: float) -> Array:
+def joint_motion(joint: FileJoint, q: float) -> Array:
+    """Pose of a joint's child in the joint's frame at a value q [rad or m], homogeneous, shape (4, 4)."""
     if joint.kind == "fixed" or q == 0.0:
         return np.eye(4)
     axis = np.asarray(joint.axis, dtype=float) / np.linalg.norm(joint.axis)

@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.drake_plant import model_from_plant
 from xdex_drake.hand.importing.interpret import Imported, interpret
+from xdex_drake.hand.importing.mesh_files import Allowed, is_lfs_pointer
 from xdex_drake.hand.importing.mjcf import read_mjcf
 from xdex_drake.hand.importing.model import FileModel
 from xdex_drake.hand.importing.sdformat import read_sdf
@@ -25,19 +26,20 @@ from xdex_drake.hand.importing.xml_file import read_xml
 from xdex_drake.hand.yaml_file import hand_text, read_hand
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
-RECIPE = 3  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
+RECIPE = 4  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
 WHAT = "a URDF, MJCF or SDFormat file of one hand"
-READERS: dict[str, Callable[[Path], FileModel]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
+READERS: dict[str, Callable[[Path, Allowed], FileModel]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
 """The reader for each root element."""
 
 GENERAL_NAMES = ("robot", "model", "hand", "scene", "urdf", "mjcf", "main", "gripper")
 
 
-def read_model(path: str | Path) -> FileModel:
+def read_model(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     """Reads a robot file by the reader that its root element asks for.
 
     Args:
         path: File of one of the types `SUFFIXES`.
+        allowed: What may be read besides the hand's folder.
 
     Returns:
         The robot as the file has it.
@@ -51,22 +53,32 @@ def read_model(path: str | Path) -> FileModel:
         raise HandFileError(f"{path}: is a xacro file; expand it first: `xacro {path.name} > hand.urdf`")
     if not suffixes or suffixes[-1] not in SUFFIXES:
         raise HandFileError(f"{path}: is of an unknown type; give {WHAT} ({', '.join(SUFFIXES)})")
+    if path.is_file() and is_lfs_pointer(path):
+        raise HandFileError(f"{path}: is a Git LFS pointer, not the file itself; fetch it by `git lfs pull`")
     root = read_xml(path, WHAT).tag
     if root not in READERS:
         raise HandFileError(f"{path}: its root element is <{root[:40]}>; give {WHAT}")
-    return READERS[root](path)
+    return READERS[root](path, allowed or Allowed())
 
 
 def import_hand(
-    path: str | Path, *, name: str | None = None, side: str | None = None, palm: str | None = None
+    path: str | Path,
+    *,
+    name: str | None = None,
+    side: str | None = None,
+    palm: str | None = None,
+    root: str | Path | None = None,
+    packages: Mapping[str, str | Path] | None = None,
 ) -> Imported:
     """Imports a hand from a URDF, MJCF or SDFormat file, without annotation.
 
     Args:
         path: The file.
         name: Name of the hand; made from the file's name where None.
-        side: "right" or "left", where the file cannot tell.
+        side: "right" or "left", where the file cannot tell; of a robot with two hands, the one to take.
         palm: Name of the link that the fingers grow from, where it is not to be found by itself.
+        root: A folder in which meshes and included files may lie, besides the hand's own.
+        packages: Folders of ROS packages by name, for `package://NAME/...`.
 
     Returns:
         The hand and all that was decided on the way.
@@ -74,7 +86,11 @@ def import_hand(
     Raises:
         HandFileError: The file cannot be used; the message names file, element and remedy.
     """
-    model = read_model(path)
+    folders = {key: Path(folder) for key, folder in (packages or {}).items()}
+    for folder in [*([Path(root)] if root is not None else []), *folders.values()]:
+        if not folder.is_dir():
+            raise HandFileError(f"{folder}: is no folder; give one in which the meshes of {path} lie")
+    model = read_model(path, Allowed(None if root is None else Path(root), folders))
     return interpret(model, name=name or hand_name(model), side=side, palm=palm)
 
 

@@ -5,20 +5,23 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.collision import OVERLAP_MARGIN, sphere_distance, spheres_of_links
-from xdex_drake.hand.description import Array, Finger, Geometry, Hand, Link
+from xdex_drake.hand.collision import OVERLAP_MARGIN, self_collision_pairs, sphere_distance, spheres_of_links
+from xdex_drake.hand.description import Finger, Geometry, Hand, Link
 from xdex_drake.hand.importing.anatomy import Anatomy, find_digits, name_fingers, zero_posture
-from xdex_drake.hand.importing.bodies import Member, Tree
+from xdex_drake.hand.importing.bodies import Member, Tree, link_poses
 from xdex_drake.hand.importing.check import check_model
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.finger_names import side_from_names
+from xdex_drake.hand.importing.loops import close_loops
 from xdex_drake.hand.importing.mass import body_inertias, joint_efforts
 from xdex_drake.hand.importing.model import FileLink, FileModel
-from xdex_drake.hand.importing.palm import find_chains, find_hand
+from xdex_drake.hand.importing.palm import Chain, find_chains, find_hand
 from xdex_drake.hand.importing.rest import rest_posture
-from xdex_drake.hand.importing.shape import link_shapes, scaled, surface_points
+from xdex_drake.hand.importing.shape import link_shapes, surface_points, without_markers
 from xdex_drake.hand.spheres import fit_spheres
+from xdex_drake.hand.yaml_file import MAX_BYTES, hand_text, parse_hand
 
 SLIP = 100.0
 """A link whose shape is this many times as large as the usual one was drawn in millimetres."""
@@ -33,8 +36,17 @@ SHORTEST = 0.02
 """No hand reaches less far [m]."""
 
 
-NESTED_TRIALS = 24
-"""Number of postures, besides zero, that tell nested parts from ones that touch now and then."""
+CROWDED_POSTURES = 15
+"""Number of postures that tell a hand whose links overlap in most of them."""
+
+NESTED_SHARE = 0.3
+"""Parts that overlap in this share of their motion are nested; others touch now and then."""
+
+NESTED_SLACK = 2e-3
+"""Parts of one finger that are this much apart at zero, where those of the others overlap, are judged like them [m]."""
+
+NESTED_GRID = {1: 33, 2: 9, 3: 6, 4: 4}
+"""Number of values of each joint, by the number of joints, at which that is judged."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +95,13 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
     if side not in (None, "right", "left"):
         raise HandFileError(f"{model.source}: side is {side!r}; give right or left")
     check_model(model)
-    decisions: Decisions = [Decision("warning", "file", note) for note in model.notes]
-    model = _mend_scales(model, decisions)
-    tree = find_hand(model, palm, decisions)
-    chains = find_chains(tree, decisions)
+    decisions: Decisions = [*model.decisions, *(Decision("warning", "file", note) for note in model.notes)]
+    _check_shapes(model)
+    model = close_loops(_mend_scales(model, decisions), decisions)
+    tree = find_hand(model, side, palm, lambda tree: _side_of(tree, model), decisions)
+    tree = without_markers(tree, decisions)
+    chains = find_chains(tree, model, decisions)
+    _check_fingers(model, tree, chains)
     digits = find_digits(tree, chains, decisions)
     by_names = side_from_names([model.name, *(m.link.name for body in tree.members for m in body)])
     anatomy = name_fingers(tree, digits, side or by_names, decisions)
@@ -105,12 +120,47 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
     hand = replace(hand, q_rest=rest_posture(hand, anatomy, decisions), sources=_sources(model, decisions))
     _say_undriven(tree, decisions)
     _say_narrow(hand, decisions)
+    _say_crowded(hand, anatomy, decisions)
+    _check_written(model, hand)
     frames = {
         member.link.name: FileFrame(link.name, member.X_LF)
         for link, body in zip(hand.links, tree.members, strict=True)
         for member in body
     }
     return Imported(hand, tuple(decisions), frames)
+
+
+def _side_of(tree: Tree, model: FileModel) -> str | None:
+    """The side of a hand by the place of its thumb."""
+    return name_fingers(tree, find_digits(tree, find_chains(tree, model, []), []), None, []).side
+
+
+def _check_shapes(model: FileModel) -> None:
+    """Refuses a hand without any shape, and says why its shapes are missing."""
+    if any(link.visual or link.collision for link in model.links):
+        return
+    causes = list(dict.fromkeys(cause for link in model.links for cause in link.lost))
+    why = f": the mesh {causes[0]}" if causes else ""
+    more = f" (and {len(causes) - 1} more meshes)" if len(causes) > 1 else ""
+    raise HandFileError(f"{model.source}: no link has a shape{why}{more}; a hand without shape touches nothing")
+
+
+def _check_fingers(model: FileModel, tree: Tree, chains: list[Chain]) -> None:
+    """Refuses hands that cannot hold a thing: of one finger, or with fingertips that touch nothing."""
+    names = [link.name for link in tree.skeleton.links]
+    if len(chains) < 2:
+        raise HandFileError(
+            f"{model.source}: one finger or jaw alone moves ({names[chains[0].bodies[-1]]}), and nothing opposes it; "
+            "give a hand of two fingers or more"
+        )
+    bare = [k for k in (chain.bodies[-1] for chain in chains) if not len(surface_points(tree.members[k]))]
+    if bare:
+        lost = [cause for k in bare for member in tree.members[k] for cause in member.link.lost]
+        why = f" ({lost[0]})" if lost else ""
+        raise HandFileError(
+            f"{model.source}: the last links of {len(bare)} of {len(chains)} fingers have no shape "
+            f"({join([names[k] for k in bare], 8)}){why}, so that they touch nothing; give them a geometry"
+        )
 
 
 def _mend_scales(model: FileModel, decisions: Decisions) -> FileModel:
@@ -131,7 +181,7 @@ def _mend_scales(model: FileModel, decisions: Decisions) -> FileModel:
             for shape in shapes:
                 points = surface_points((Member(FileLink("", (shape,)), np.eye(4), True),))
                 large = len(points) > 0 and float(np.abs(points).max()) > max(SLIP * usual, 1.0)
-                mended.append(scaled(shape, 1e-3) if large else shape)
+                mended.append(shape.scaled(1e-3) if large else shape)
                 factors[kind] = factors.get(kind, False) or large
             if factors.get(kind):
                 link = replace(link, **{kind: tuple(mended)})
@@ -178,7 +228,7 @@ def _with_bodies(tree: Tree, anatomy: Anatomy, decisions: Decisions) -> Hand:
     skeleton = tree.skeleton
     names = [link.name for link in skeleton.links]
     geometry = [link_shapes(n, body, decisions) for n, body in zip(names, tree.members, strict=True)]
-    _say_shapeless(skeleton, geometry, anatomy, decisions)
+    _say_shapeless(skeleton, geometry, decisions)
     inertias = body_inertias(names, tree.members, geometry, decisions)
     tips = [(digit.chain.bodies[-1], digit.p_LTip) for digit in anatomy.digits]
     efforts = joint_efforts(skeleton, tips, zero_posture(skeleton), decisions)
@@ -200,14 +250,7 @@ def _with_bodies(tree: Tree, anatomy: Anatomy, decisions: Decisions) -> Hand:
     return replace(skeleton, links=links, joints=joints, fingers=fingers)
 
 
-def _say_shapeless(
-    skeleton: Hand, geometry: list[tuple[Geometry, ...]], anatomy: Anatomy, decisions: Decisions
-) -> None:
-    last = {digit.chain.bodies[-1] for digit in anatomy.digits}
-    bare = [skeleton.links[k].name for k in last if not geometry[k]]
-    if bare:
-        text = "ends a finger but has no shape, so it touches nothing; give it a geometry."
-        decisions.append(Decision("warning", f"link {join(bare)}", text))
+def _say_shapeless(skeleton: Hand, geometry: list[tuple[Geometry, ...]], decisions: Decisions) -> None:
     if not geometry[0]:
         decisions.append(Decision("warning", f"link {skeleton.links[0].name}", "is the palm but has no shape."))
 
@@ -244,6 +287,39 @@ def _say_narrow(hand: Hand, decisions: Decisions) -> None:
         decisions.append(Decision("warning", "hand", text))
 
 
+def _say_crowded(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> None:
+    """Warns where links overlap in most of the postures from a little before the rest posture to nearly closed ones."""
+    lower, upper = hand.limits
+    closing = np.sum([digit.closing for digit in anatomy.digits], axis=0)
+    closed = np.where(closing > 0.0, upper, np.where(closing < 0.0, lower, hand.q_rest))
+    shares = np.linspace(-0.25, 0.75, CROWDED_POSTURES)[:, None]
+    qs = np.clip(hand.q_rest + shares * (closed - hand.q_rest), lower, upper)
+    # Fingertips meet where a hand closes; a finger does not meet itself or the palm that soon.
+    paths = [{0, *digit.chain.path} for digit in anatomy.digits]
+    pairs = [(int(i), int(j)) for i, j in self_collision_pairs(hand) if any({i, j} <= path for path in paths)]
+    count = np.zeros(len(pairs), dtype=int)
+    for q in qs:
+        at = spheres_of_links(hand, q)
+        count += np.array([sphere_distance(at[i], at[j]) <= 0.0 for i, j in pairs], dtype=int)
+    often = [pair for pair, n in zip(pairs, count, strict=True) if 2 * n > len(qs)]
+    if often:
+        text = f"{_pair_names(hand, often)} overlap in most postures between the rest posture and the closed one, so "
+        text += "that most grasps will be rejected; add them to ignored_contacts where they are nested parts."
+        decisions.append(Decision("warning", "hand", text))
+
+
+def _check_written(model: FileModel, hand: Hand) -> None:
+    """What is written can be read again: a hand that cannot is refused here, with the file that it comes from."""
+    text = hand_text(hand)
+    if len(text.encode()) > MAX_BYTES:
+        raise HandFileError(f"{model.source}: the hand found in it has too many shapes to be written; simplify them")
+    try:
+        parse_hand(text, model.source)
+    except HandFileError as error:
+        said = str(error).removeprefix(f"{model.source}: ")
+        raise HandFileError(f"{model.source}: the hand found in it cannot be used ({said})") from None
+
+
 def _ignored_contacts(
     hand: Hand, model: FileModel, tree: Tree, anatomy: Anatomy, decisions: Decisions
 ) -> tuple[tuple[str, str], ...]:
@@ -253,37 +329,73 @@ def _ignored_contacts(
     for first, second in model.ignored_pairs:
         i, j = sorted((body_of.get(first, -1), body_of.get(second, -1)))
         solid = i >= 0 and bool(hand.links[i].geometry) and bool(hand.links[j].geometry)
-        if solid and i != j and hand.parents[j] != i:
+        if solid and i != j:
             pairs[i, j] = None
     if pairs:
         text = f"the file rules out contact between {_pair_names(hand, list(pairs))}; it is ignored."
         decisions.append(Decision("decided", "hand", text))
     nested = [pair for pair in _nested_in_palm(hand, anatomy) if pair not in pairs]
     if nested:
-        text = f"{_pair_names(hand, nested)} overlap at the zero posture and mostly elsewhere, as nested parts do; "
+        text = (
+            f"{_pair_names(hand, nested)} overlap at the zero posture and in much of their motion, as nested parts do; "
+        )
         decisions.append(Decision("decided", "hand", text + "their contact is ignored."))
-    return tuple((hand.links[i].name, hand.links[j].name) for i, j in [*pairs, *nested])
+    gear = [pair for pair in _gear_pairs(hand, anatomy) if pair not in pairs]
+    if gear:
+        text = f"the bars of its gears touch what they are jointed to; contact of {_pair_names(hand, gear)} is ignored."
+        decisions.append(Decision("decided", "hand", text))
+    return tuple((hand.links[i].name, hand.links[j].name) for i, j in dict.fromkeys([*pairs, *nested, *gear]))
+
+
+def _gear_pairs(hand: Hand, anatomy: Anatomy) -> list[tuple[int, int]]:
+    """Pairs of a bar, which is part of no finger, with the palm and with the links that share its motor."""
+    paths = {k for digit in anatomy.digits for k in digit.chain.path}
+    C = hand.coupling_matrix != 0.0
+    pairs = []
+    for bar in [k for k in range(1, len(hand.links)) if k not in paths and hand.links[k].geometry]:
+        mates = [k for k in range(1, len(hand.links)) if k != bar and (C[k - 1] & C[bar - 1]).any()]
+        pairs += [(min(bar, k), max(bar, k)) for k in [0, *mates] if hand.links[k].geometry]
+    return list(dict.fromkeys(pairs))
 
 
 def _nested_in_palm(hand: Hand, anatomy: Anatomy) -> list[tuple[int, int]]:
-    """Second links of fingers that overlap the palm at the zero posture and in at least half of all others.
+    """Second links of fingers that overlap the palm at the zero posture and in much of their motion.
 
     A finger's first link is the palm's neighbor; contact of the palm with links beyond the second is one of the
-    posture's.
+    posture's. Judged is the share of the motion of the joints that carry the link, gone through evenly. The thumb is
+    judged by itself, the other fingers together, so that one of them that is a little farther off goes with the rest.
     """
-    rng = np.random.default_rng(0)
+    near: dict[str, list[tuple[int, float]]] = {"thumb": [], "others": []}
+    for name, digit in zip(anatomy.names, anatomy.digits, strict=True):
+        solid = [k for k in digit.chain.path if len(hand.links[k].spheres)]
+        if len(solid) < 2 or not len(hand.links[0].spheres):
+            continue
+        gaps = _gaps_to_palm(hand, digit.chain.path[: digit.chain.path.index(solid[1]) + 1])
+        if gaps[0] <= OVERLAP_MARGIN + NESTED_SLACK:
+            share = float((gaps[1:] <= OVERLAP_MARGIN).mean())
+            near["thumb" if name == "thumb" else "others"].append((solid[1], share))
+    nested = []
+    for group in near.values():
+        if group and np.mean([share for _, share in group]) >= NESTED_SHARE:
+            nested += [(0, k) for k, share in group if share >= 0.5 * NESTED_SHARE]
+    return list(dict.fromkeys(nested))
+
+
+def _gaps_to_palm(hand: Hand, path: tuple[int, ...]) -> Array:
+    """Distance of a path's last link from the palm at the zero posture, then evenly over its joints' ranges [m]."""
+    motors = np.flatnonzero((hand.coupling_matrix[[k - 1 for k in path]] != 0.0).any(axis=0))
+    count = NESTED_GRID.get(len(motors), 3)
     lower, upper = hand.limits
-    qs = [zero_posture(hand), *rng.uniform(lower, upper, (NESTED_TRIALS, len(lower)))]
-    postures = [spheres_of_links(hand, q) for q in qs]
-    nested: dict[tuple[int, int], None] = {}
-    for digit in anatomy.digits:
-        for k in [k for k in digit.chain.path if len(hand.links[k].spheres)][1:2]:
-            if not len(hand.links[0].spheres):
-                continue
-            overlaps = [sphere_distance(spheres_H[0], spheres_H[k]) <= OVERLAP_MARGIN for spheres_H in postures]
-            if overlaps[0] and 2 * sum(overlaps) >= len(overlaps):
-                nested[0, k] = None
-    return list(nested)
+    zero = zero_posture(hand)
+    axes = [np.linspace(lower[k], upper[k], count) for k in motors[:6]]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    qs = np.repeat(zero[None], len(grid) + 1, axis=0)
+    qs[1:, motors[:6]] = grid
+    R, p = link_poses(hand, qs)
+    palm, spheres = hand.links[0].spheres, hand.links[path[-1]].spheres
+    centers = p[:, path[-1], None] + spheres[:, :3] @ np.swapaxes(R[:, path[-1]], 1, 2)  # (N, m, 3)
+    apart = np.linalg.norm(centers[:, :, None] - palm[:, :3], axis=3)
+    return (apart - spheres[:, 3, None] - palm[:, 3]).min(axis=(1, 2))
 
 
 def _pair_names(hand: Hand, pairs: list[tuple[int, int]]) -> str:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Hand, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Geometry, Hand
 from xdex_drake.hand.importing.bodies import Member, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import FileInertia
@@ -103,24 +104,11 @@ def _valid(inertia: FileInertia, shapes: tuple[Geometry, ...]) -> bool:
     if not shapes:
         return True
     # A body whose mass lies on its outline has radii of gyration within that outline.
-    corners = np.concatenate([_outline(shape) for shape in shapes])
+    corners = np.concatenate([shape.bounds() for shape in shapes])
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float(np.linalg.norm(high - low))
     off = np.maximum(np.maximum(low - inertia.p_LLcm, inertia.p_LLcm - high), 0.0)
     return bool(c <= inertia.mass * size**2 and np.linalg.norm(off) <= max(size, 0.02))
-
-
-def _outline(shape: Geometry) -> Array:
-    if isinstance(shape, Sphere):
-        return np.stack([shape.center - shape.radius, shape.center + shape.radius])
-    if isinstance(shape, Capsule):
-        ends = np.stack([shape.p0, shape.p1])
-        return np.concatenate([ends - shape.radius, ends + shape.radius])
-    if isinstance(shape, Box):
-        reach = np.abs(shape.R_LG) @ (0.5 * shape.size)
-        return np.stack([shape.p_LG - reach, shape.p_LG + reach])
-    assert isinstance(shape, Convex)
-    return shape.vertices
 
 
 def joint_efforts(hand: Hand, tips: list[tuple[int, Array]], q: Array, decisions: Decisions) -> list[float]:

@@ -3,18 +3,24 @@
 A robot file may read meshes within the hand's folder alone. That is the nearest folder at or above the file, at most
 four levels up, that holds a `package.xml` (a ROS package); without one, the folder above where the file lies in a
 folder for robot files (`urdf`, `robots`, `mjcf`, ...); else the file's own folder. Links of the file system are
-followed before that is decided.
+followed before that is decided. Beyond it, `package://NAME/...` may read a folder of that name above the file, a
+package of that name beside the hand's folder (known by its `package.xml`), one that `ROS_PACKAGE_PATH` leads to, and
+whatever folder a person allows (`Allowed`). An absolute path that leads elsewhere, as of the computer that wrote the
+file, is looked for by its end within the hand's folder.
 """
 
-from collections.abc import Sequence
-from pathlib import Path
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import trimesh
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array
-from xdex_drake.hand.importing.model import TriangleMesh
+from xdex_drake.hand.importing.decisions import Decision, join
+from xdex_drake.hand.importing.model import FileLink, TriangleMesh
 from xdex_drake.hand.importing.xml_file import read_xml
 from xdex_drake.mesh_file import MESH_SUFFIXES, read_triangles
 
@@ -22,11 +28,31 @@ MAX_BYTES = 200_000_000
 MAX_TRIANGLES = 1_000_000
 MAX_FILES = 1_000
 PACKAGE_LEVELS = 4
+MAX_PACKAGES = 500
+"""A folder is searched for packages among this many of its entries at most."""
+
+LONGEST_PART = 2.0
+"""No part of a hand is longer [m]: a longer mesh was drawn in millimetres."""
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 ROBOT_FILE_FOLDERS = ("urdf", "urdfs", "robot", "robots", "mjcf", "mjcfs", "xml", "xmls", "sdf", "model", "models")
 
 
 class MissingMesh(Exception):
     """A mesh that is not there or cannot be read; the hand may do without it. The message says why."""
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """What a person lets a robot file read besides the hand's own folder.
+
+    Attributes:
+        root: A folder.
+        packages: Folders of ROS packages by name.
+    """
+
+    root: Path | None = None
+    packages: dict[str, Path] = field(default_factory=dict)
 
 
 def hand_folder(path: Path) -> Path:
@@ -55,12 +81,35 @@ class MeshFiles:
         root: Folder within which files may be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, allowed: Allowed | None = None) -> None:
         self.path = path
         self.folder = path.resolve().parent
         self.root = hand_folder(path)
+        self.allowed = allowed or Allowed()
+        given = [self.allowed.root, *self.allowed.packages.values()]
+        self._open = [self.root, *(folder.resolve() for folder in given if folder is not None)]
         self._read: dict[Path, tuple[Array, np.ndarray] | str] = {}
         self._bytes = self._triangles = 0
+        self._by_end: dict[str, Path] = {}
+        self._long: dict[str, float] = {}
+        self._packages: dict[str, list[Path]] = {}
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was taken otherwise than it stands, one sentence for each kind."""
+        told = []
+        if self._by_end:
+            name, file = next(iter(self._by_end.items()))
+            text = f"{_meshes(len(self._by_end))} named by an absolute path of another place, as {name[:120]!r}; taken "
+            told.append(Decision("warning", "file", text + f"by the end of that path, as {self._shown(file)}."))
+        if self._long:
+            name = max(self._long, key=lambda name: self._long[name])
+            text = (
+                f"{_meshes(len(self._long))} longer than any part of a hand, as {name} with {self._long[name]:.3g} m; "
+            )
+            text += 'taken as drawn in millimetres. Give the mesh scale="0.001 0.001 0.001".'
+            told.append(Decision("mended", "file", text))
+        return tuple(told)
 
     def locate(self, name: str, *, folder: Path | None = None) -> Path:
         """The file that a name in the robot file means.
@@ -70,47 +119,79 @@ class MeshFiles:
             folder: Folder that relative names start from; the robot file's own where None.
 
         Returns:
-            An existing file within the hand's folder.
+            An existing file within the folders that may be read.
 
         Raises:
-            HandFileError: The name leads out of the hand's folder or to another machine.
+            HandFileError: The name leads out of these folders or to another machine.
             MissingMesh: There is no such file.
         """
         name = name.strip()
         scheme, found, rest = name.partition("://")
-        if not found:
-            # A Windows path is as good as a missing file here; its backslashes may still stand for a folder's slash.
-            candidates = [(folder or self.folder) / name.replace("\\", "/")]
-        elif scheme == "file":
-            candidates = [Path(rest)]
-        elif scheme in ("package", "model"):
-            package, _, below = rest.partition("/")
-            candidates = [base / below for base in self._packages(package)]
-        else:
+        path = (rest if found else name).replace("\\", "/")
+        if found and scheme not in ("file", "package", "model"):
             raise HandFileError(f"{self.path}: refers to {name[:200]!r}; save that file beside and name it by its path")
+        elsewhere = False
+        if scheme in ("package", "model") and found:
+            package, _, below = path.partition("/")
+            candidates = [base / below for base in self._folders_of(package)]
+        else:
+            elsewhere = bool(found) or path.startswith("/") or path[1:3] == ":/"
+            candidates = [Path(path)] if path.startswith("/") else [(folder or self.folder) / path]
         try:
             candidates = [candidate.resolve() for candidate in candidates]
-            for candidate in candidates:
-                if not candidate.is_relative_to(self.root):
-                    raise HandFileError(
-                        f"{self.path}: refers to {name[:200]!r}, which is outside the hand's folder {self.root}; move "
-                        "the file there, or mark the folder that holds both by an empty file package.xml"
-                    )
+            outside = [candidate for candidate in candidates if not self._may_read(candidate)]
+            if outside and elsewhere and (file := self._found_by_end(path)) is not None:
+                self._by_end[name] = file
+                return file
+            if outside:
+                raise HandFileError(
+                    f"{self.path}: refers to {name[:200]!r}, which is outside the hand's folder {self.root}; move the "
+                    "file there, or allow a folder that holds both, as by --root .. (root= in Python)"
+                )
             for candidate in candidates:
                 if candidate.is_file():
                     return candidate
+            if elsewhere and (file := self._found_by_end(path)) is not None:
+                self._by_end[name] = file
+                return file
         except (OSError, ValueError, RuntimeError):  # A null character, a name too long, a link to itself.
             raise MissingMesh(f"{name[:200]!r} is not the name of a file") from None
+        if found and scheme == "package":
+            package = rest.partition("/")[0]
+            raise MissingMesh(
+                f"{name[:200]!r} does not exist: say where that package is by --package {package}=FOLDER (packages= in "
+                "Python), or set ROS_PACKAGE_PATH"
+            )
+        if elsewhere:
+            raise MissingMesh(
+                f"{name[:200]!r} does not exist here, nor does the end of that path in the hand's folder; copy it there"
+            )
         raise MissingMesh(f"{name[:200]!r} does not exist")
 
-    def _packages(self, name: str) -> list[Path]:
-        """Folders that a package of this name may be, the likeliest first, all within the hand's folder."""
-        named = [
-            folder
-            for folder in (self.folder, *self.folder.parents)
-            if folder.name == name and folder.is_relative_to(self.root)
-        ]
-        return [*named, self.root / name, self.folder / name, self.root, self.folder]
+    def _may_read(self, file: Path) -> bool:
+        return any(file.is_relative_to(folder) for folder in self._open)
+
+    def _found_by_end(self, path: str) -> Path | None:
+        """The file of the hand's folder whose path has the longest end in common with an absolute one."""
+        parts = [part for part in PurePosixPath(path).parts if part not in ("/", "..")]
+        for start in range(1, len(parts)):
+            for base in (self.root, self.folder):
+                file = base.joinpath(*parts[start:]).resolve()
+                if file.is_relative_to(self.root) and file.is_file():
+                    return file
+        return None
+
+    def _folders_of(self, name: str) -> list[Path]:
+        """Folders that a package of this name may be, the likeliest first; those beyond the hand's may now be read."""
+        if name not in self._packages:
+            levels = (self.folder, *self.folder.parents[:PACKAGE_LEVELS])
+            above = [folder for folder in levels if folder.name == name and len(folder.parts) > 2]
+            given = [self.allowed.packages[name].resolve()] if name in self.allowed.packages else []
+            within = [self.root / name, self.folder / name, self.root, self.folder]
+            found = [] if given or above else _packages_named(name, self.root)
+            self._open += [*above, *found]
+            self._packages[name] = [*given, *above, *found, *within]
+        return self._packages[name]
 
     def read(self, name: str, scale: Sequence[float] | Array, *, folder: Path | None = None) -> TriangleMesh:
         """Reads a mesh.
@@ -139,7 +220,16 @@ class MeshFiles:
             raise MissingMesh(f"{name[:200]!r} has a scale of zero")
         if np.prod(scale) < 0.0:
             faces = faces[:, ::-1]
-        return TriangleMesh(vertices * scale, np.ascontiguousarray(faces), str(file.relative_to(self.root)))
+        vertices = vertices * scale
+        longest = float(np.ptp(vertices, axis=0).max())
+        if longest > LONGEST_PART:
+            self._long[file.name] = longest
+            vertices = 1e-3 * vertices
+        return TriangleMesh(vertices, np.ascontiguousarray(faces), self._shown(file))
+
+    def _shown(self, file: Path) -> str:
+        folder = next((folder for folder in self._open if file.is_relative_to(folder)), file.parent)
+        return str(file.relative_to(folder))
 
     def _load(self, file: Path) -> tuple[Array, np.ndarray] | str:
         """The triangles of a file in metres, or why there are none."""
@@ -152,6 +242,8 @@ class MeshFiles:
             raise HandFileError(
                 f"{self.path}: its meshes have more than {MAX_BYTES} bytes (at {file.name!r}); simplify them first"
             )
+        if is_lfs_pointer(file):
+            return f"{file.name!r} is a Git LFS pointer, not the mesh itself: fetch it by `git lfs pull`"
         unit = 1.0
         try:
             if file.suffix.lower() == ".dae":
@@ -173,6 +265,62 @@ class MeshFiles:
         if not np.isfinite(vertices).all():
             return f"{file.name!r} has a coordinate that is not a finite number"
         return vertices, index.reshape(-1, 3).astype(np.int64)
+
+
+def notes_of_lost(links: Iterable[FileLink]) -> list[str]:
+    """One sentence for each cause for which meshes are missing, with the links that it befalls.
+
+    Args:
+        links: The links, with what they have lost.
+
+    Returns:
+        The sentences.
+    """
+    causes: dict[str, list[str]] = {}
+    for link in links:
+        for cause in link.lost:
+            causes.setdefault(cause, []).append(link.name)
+    return [f"{join(names)}: the mesh {cause}" for cause, names in causes.items()]
+
+
+def is_lfs_pointer(file: Path) -> bool:
+    """Whether a file is what Git leaves in the place of a large one that was not fetched."""
+    with file.open("rb") as stream:
+        return stream.read(len(LFS_POINTER)) == LFS_POINTER
+
+
+def _meshes(count: int) -> str:
+    return "a mesh is" if count == 1 else f"{count} meshes are"
+
+
+def _packages_named(name: str, root: Path) -> list[Path]:
+    """Packages of a name beside the hand's folder, where that is a package itself, and on `ROS_PACKAGE_PATH`."""
+    if not name or name in (".", "..") or "/" in name:
+        return []
+    places = [root.parent] if (root / "package.xml").is_file() and len(root.parts) > 2 else []
+    for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
+        if place and Path(place).is_dir():
+            places += [Path(place).resolve()]
+    return [package for place in places for package in _packages_at(place) if _package_name(package) == name]
+
+
+def _packages_at(place: Path) -> Iterator[Path]:
+    """A folder and those in it, links followed, that hold a `package.xml`."""
+    try:
+        inside = [entry for entry, _ in zip(sorted(place.iterdir()), range(MAX_PACKAGES), strict=False)]
+    except OSError:
+        return
+    for folder in (place, *inside):
+        if (folder / "package.xml").is_file():
+            yield folder.resolve()
+
+
+def _package_name(folder: Path) -> str:
+    try:
+        root = read_xml(folder / "package.xml", "a package.xml", max_bytes=1_000_000)
+    except HandFileError:
+        return folder.name
+    return (root.findtext("name") or folder.name).strip()
 
 
 def _collada_unit(file: Path) -> float:
@@ -200,7 +348,7 @@ def placed(mesh: TriangleMesh, R_LG: Array, p_LG: Array) -> TriangleMesh:
     Returns:
         The mesh, in L.
     """
-    return TriangleMesh(mesh.vertices @ R_LG.T + p_LG, mesh.faces, mesh.source)
+    return mesh.moved(R_LG, p_LG)
 
 
 def ellipsoid(radii: Array) -> TriangleMesh:

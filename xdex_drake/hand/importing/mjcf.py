@@ -1,26 +1,30 @@
 """Reads MJCF, the format of MuJoCo, without MuJoCo: bodies, joints, geoms, couplings, actuators.
 
 What differs from other formats is brought into theirs: a body with several joints becomes a chain of links, a link's
-frame lies at its joint, joint values count as in the file (`ref` included), `<equality><joint>` becomes a mimic law.
-Tendons, sites, sensors and closed loops are noted and left out.
+frame lies at its joint, joint values count as in the file (`ref` included), `<equality>` of two joints, or of fixed
+tendons over two joints, becomes a mimic law, `<connect>` and `<weld>` become points that coincide. Other tendons, sites
+and sensors are left out.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
-from xdex_drake.hand.importing.mesh_files import MeshFiles, MissingMesh, ellipsoid, placed
+from xdex_drake.hand.description import Box, Capsule, Sphere
+from xdex_drake.hand.importing.decisions import Decision, join
+from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, ellipsoid, notes_of_lost, placed
 from xdex_drake.hand.importing.model import (
     Cylinder,
     FileGeometry,
     FileInertia,
     FileJoint,
     FileLink,
+    FileLoop,
     FileMimic,
     FileModel,
     TriangleMesh,
@@ -34,18 +38,27 @@ ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper"
 UNSUPPORTED = ("attach", "replicate", "composite", "flexcomp")
 WORLD = "world"
 
+MOST_TURN_OF_DEGREES = np.pi / 20.0
+"""Greatest range of a hand whose joint limits were meant in radians and taken as degrees [rad]."""
+
+SCENERY = 0.5
+"""A geom of the world that is longer than this is a floor, a wall or a table, not a part of the hand [m]."""
+
 Pose = tuple[Array, Array]
 """Rotation matrix, shape (3, 3), and position [m], shape (3,)."""
 
 
-def read_mjcf(path: str | Path) -> FileModel:
+def read_mjcf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     """Reads an MJCF file and the files that it includes.
 
     Included files and meshes are read from the hand's folder only, see `mesh_files`. Geoms that collide with nothing
     (contype and conaffinity zero) are visual, the others collision geometry, and visual too where a body has no other.
+    Where the file does not say in which unit its angles are, MuJoCo takes degrees; here they are radians if no joint
+    could turn otherwise, as in files that are made to be included.
 
     Args:
         path: The file.
+        allowed: What may be read besides the hand's folder.
 
     Returns:
         The robot as the file has it.
@@ -58,9 +71,19 @@ def read_mjcf(path: str | Path) -> FileModel:
     root = read_xml(path, WHAT)
     if root.tag != "mujoco":
         raise HandFileError(f"{path}: its root element is <{root.tag[:40]}>, not <mujoco>; give {WHAT}")
-    meshes = MeshFiles(path)
+    meshes = MeshFiles(path, allowed)
     _Includes(path, meshes).expand(root, meshes.folder, 0)
-    return _Reader(path, root, meshes).model()
+    reader = _Reader(path, root, meshes)
+    model = reader.model()
+    turns = [j.upper - j.lower for j in reader.joints if j.kind == "revolute" and np.isfinite(j.upper - j.lower)]
+    if reader.compiler.angle is not None or not turns or max(turns) > MOST_TURN_OF_DEGREES:
+        return model
+    text = (
+        "its angles are taken as radians, for in degrees, as MuJoCo takes them where the file does not say, no joint "
+    )
+    text += f'would turn by more than {np.degrees(max(turns)):.1f} degrees; <compiler angle="..."/> would say.'
+    model = _Reader(path, root, meshes, angle="radian").model()
+    return replace(model, decisions=(Decision("decided", "file", text), *model.decisions))
 
 
 class _Includes:
@@ -107,21 +130,25 @@ class _Includes:
 class _Compiler:
     """The settings of `<compiler>` that change what other elements mean."""
 
-    degrees: bool = True
+    angle: str | None = None
     eulerseq: str = "xyz"
     meshdir: str = ""
     strippath: bool = False
     autolimits: bool = True
     inertia_from_geoms: bool = False
 
+    @property
+    def unit(self) -> float:
+        """The file's unit of angles [rad]."""
+        return 1.0 if self.angle == "radian" else np.pi / 180.0
+
     def read(self, place: Place) -> None:
         element = place.element
         if element.get("coordinate", "local") != "local":
             raise place.fail("uses global coordinates", "save the file anew by a MuJoCo before 2.3.4")
-        angle = element.get("angle")
-        if angle not in (None, "degree", "radian"):
-            raise place.fail(f"has angle={angle[:40]!r}", "write degree or radian")
-        self.degrees = self.degrees if angle is None else angle == "degree"
+        self.angle = element.get("angle", self.angle)
+        if self.angle not in (None, "degree", "radian"):
+            raise place.fail(f"has angle={self.angle[:40]!r}", "write degree or radian")
         self.eulerseq = element.get("eulerseq", self.eulerseq)
         if len(self.eulerseq) != 3 or set(self.eulerseq.lower()) - set("xyz"):
             raise place.fail(f"has eulerseq={self.eulerseq[:40]!r}", "write three of x, y, z")
@@ -138,19 +165,26 @@ class _Body:
     Attributes:
         name: Name of the link.
         X_LB: Pose of the body's frame in the link's, which lies at the body's last joint.
+        X_WB: Pose of the body's frame in the world, all joints at their reference values.
         visual: Geoms that collide with nothing.
         collision: Geoms that collide.
+        bits: The different pairs (contype, conaffinity) of the geoms that collide.
         inertia: As the file gives it.
+        lost: Why geoms could not be read.
     """
 
     name: str
     X_LB: Pose
+    X_WB: Pose = field(default_factory=lambda: _shift(np.zeros(3)))
     visual: list[FileGeometry] = field(default_factory=list)
     collision: list[FileGeometry] = field(default_factory=list)
+    bits: set[tuple[int, int]] = field(default_factory=set)
     inertia: FileInertia | None = None
+    lost: list[str] = field(default_factory=list)
 
     def link(self) -> FileLink:
-        return FileLink(self.name, tuple(self.visual or self.collision), tuple(self.collision), self.inertia)
+        lost = tuple(dict.fromkeys(self.lost))
+        return FileLink(self.name, tuple(self.visual or self.collision), tuple(self.collision), self.inertia, lost)
 
 
 def _times(X: Pose, Y: Pose) -> Pose:
@@ -164,12 +198,14 @@ def _shift(p: Array) -> Pose:
 class _Reader:
     """One reading of one file; `model` is its only use."""
 
-    def __init__(self, path: Path, root: Element, meshes: MeshFiles) -> None:
+    def __init__(self, path: Path, root: Element, meshes: MeshFiles, *, angle: str | None = None) -> None:
         self.source, self.root, self.meshes, self.path = str(path), root, meshes, path
         self.notes: list[str] = []
+        self.decisions: list[Decision] = []
         self.compiler = _Compiler()
         for element in root.findall("compiler"):
             self.compiler.read(Place(element, self.source, "<compiler>"))
+        self.compiler.angle = angle or self.compiler.angle
         self.defaults: dict[str, dict[str, dict[str, str]]] = {"main": {}}
         for element in root.findall("default"):
             self._read_defaults(element, "main", "main")
@@ -186,21 +222,49 @@ class _Reader:
         jointed = [top for top in tops if any(j.get("type") != "free" for j in top[0].element.iter("joint"))]
         if not jointed:
             raise HandFileError(f"{source}: has no joints; give {WHAT}")
-        if len(jointed) < len(tops):
-            self.notes.append(f"{len(tops) - len(jointed)} bodies of the world without joints are left out")
         # The world is a link of its own only where joints or several bodies hang on it.
         to_world = len(jointed) > 1 or any(True for _ in self._joints_of(jointed[0][0].element, "main"))
         if to_world:
             self.bodies.append(_Body(WORLD, _shift(np.zeros(3))))
-        for place, X_WF, childclass in jointed:
-            self._read_body(place, X_WF, childclass, self.bodies[0] if to_world else None)
+            self._read_world(self.bodies[0])
+        fixed = [top for top in tops if to_world and top not in jointed and not _is_free(top[0].element)]
+        if len(jointed) + len(fixed) < len(tops):
+            self.notes.append(
+                f"{len(tops) - len(jointed) - len(fixed)} bodies of the world without joints are left out"
+            )
+        for place, X_WF, childclass in tops:
+            if (place, X_WF, childclass) in jointed or (place, X_WF, childclass) in fixed:
+                self._read_body(place, X_WF, childclass, self.bodies[0] if to_world else None)
         check_names([body.name for body in self.bodies], "link", source)
         check_names([joint.name for joint in self.joints], "joint", source)
         joints = self._with_actuators(self._with_equalities(tuple(self.joints)))
         check_mimics(joints, source)
         links, joints = as_one_tree(source, tuple(body.link() for body in self.bodies), joints, self.notes)
         name = self.root.get("model") or self.path.stem
-        return FileModel(name, source, links, joints, self._excluded(), tuple(dict.fromkeys(self.notes)))
+        return FileModel(
+            name,
+            source,
+            links,
+            joints,
+            (*self._excluded(), *self._kept_apart_by_bits()),
+            (*dict.fromkeys(self.notes), *notes_of_lost(links)),
+            (*self.meshes.decisions, *self.decisions),
+            tuple(self._loops()),
+        )
+
+    def _read_world(self, world: _Body) -> None:
+        """The world's own geoms, among them the base of a hand that is fixed there; scenery is left out."""
+        large = []
+        for element in self.root.findall("worldbody"):
+            for geom, X_WF, inner in self._children(element, "main", ("geom",)):
+                before = len(world.visual), len(world.collision)
+                self._read_geom(self._complete(geom.element, inner, f"{geom.place} of the world"), X_WF, world)
+                for shapes, count in zip((world.visual, world.collision), before, strict=True):
+                    if len(shapes) > count and _extent(shapes[-1]) > SCENERY:
+                        shapes.pop()
+                        large.append(geom.place)
+        if large:
+            self.notes.append(f"of the world's geoms {join(large)}, longer than {SCENERY:g} m, left out as scenery")
 
     # ---- defaults
 
@@ -268,8 +332,11 @@ class _Reader:
             self.notes.append(f"{place.place} has a free joint, which is left out: a hand's base is always free")
         body = _Body(name, _shift(np.zeros(3)))
         X_PB = _times(X_PF, self._pose(place))
+        X_WB = X_PB
         if parent is not None:
+            X_WB = _times(parent.X_WB, X_PB)
             body = self._attach(body, joints, parent, _times(parent.X_LB, X_PB))
+        body.X_WB = X_WB
         self.bodies.append(body)
         body.inertia = self._inertia(place, body)
         for geom, X_BF, inner in self._children(element, childclass, ("geom",)):
@@ -305,7 +372,7 @@ class _Reader:
         if length < 1e-9:
             raise place.fail("has an axis of zero", "give the direction that the joint turns about or slides along")
         axis = axis / length
-        unit = np.pi / 180.0 if kind == "hinge" and self.compiler.degrees else 1.0
+        unit = self.compiler.unit if kind == "hinge" else 1.0
         ref = unit * place.number("ref", 0.0)
         self.refs[name] = ref
         if ref and kind == "hinge":
@@ -331,7 +398,7 @@ class _Reader:
     def _rotation(self, place: Place) -> Array:
         """Rotation from whichever of MJCF's five ways an element uses; the identity where it uses none."""
         attributes = place.element.attrib
-        unit = np.pi / 180.0 if self.compiler.degrees else 1.0
+        unit = self.compiler.unit
         if "quat" in attributes:
             quat = place.numbers("quat", 4)
             if np.linalg.norm(quat) < 1e-9:
@@ -381,11 +448,19 @@ class _Reader:
     # ---- geoms
 
     def _read_geom(self, place: Place, X_BF: Pose, body: _Body) -> None:
-        shape = self._shape(place, _times(body.X_LB, X_BF))
+        try:
+            shape = self._shape(place, _times(body.X_LB, X_BF))
+        except MissingMesh as cause:
+            body.lost.append(str(cause))
+            return
         if shape is None:
             return
-        collides = place.number("contype", 1.0) != 0.0 or place.number("conaffinity", 1.0) != 0.0
-        (body.collision if collides else body.visual).append(shape)
+        bits = int(place.number("contype", 1.0)), int(place.number("conaffinity", 1.0))
+        if bits == (0, 0):
+            body.visual.append(shape)
+        else:
+            body.collision.append(shape)
+            body.bits.add(bits)
 
     def _shape(self, place: Place, X_LF: Pose) -> FileGeometry | None:
         kind = place.element.get("type", "sphere")
@@ -422,23 +497,19 @@ class _Reader:
         axis = float(size[1]) * R[:, 2]
         return (Capsule if kind == "capsule" else Cylinder)(p - axis, p + axis, float(size[0]))
 
-    def _mesh(self, place: Place, X_LF: Pose) -> TriangleMesh | None:
+    def _mesh(self, place: Place, X_LF: Pose) -> TriangleMesh:
         name = place.text("mesh")
         asset = self.assets.get(name)
         if asset is None:
             raise place.fail(f"names the mesh {name!r}, which is no asset", "add it to <asset>")
         scale = asset.numbers("scale", 3, np.ones(3))
-        try:
-            if "file" in asset.element.attrib:
-                file = asset.text("file").replace("\\", "/")
-                if self.compiler.strippath:
-                    file = PurePosixPath(file).name
-                mesh = self.meshes.read(str(PurePosixPath(self.compiler.meshdir.replace("\\", "/")) / file), scale)
-            else:
-                mesh = _inline_mesh(asset, scale)
-        except MissingMesh as cause:
-            self.notes.append(f"{place.place}: the mesh {cause}")
-            return None
+        if "file" in asset.element.attrib:
+            file = asset.text("file").replace("\\", "/")
+            if self.compiler.strippath:
+                file = PurePosixPath(file).name
+            mesh = self.meshes.read(str(PurePosixPath(self.compiler.meshdir.replace("\\", "/")) / file), scale)
+        else:
+            mesh = _inline_mesh(asset, scale)
         # The mesh is moved so that its own frame `ref` becomes the origin.
         R_MR = np.eye(3)
         if "refquat" in asset.element.attrib:
@@ -459,11 +530,9 @@ class _Reader:
             if place.element.get("active", "true") == "false":
                 continue
             if element.tag in ("connect", "weld"):
-                ends = [name for key in ("body1", "body2") if (name := place.element.get(key))]
-                between = f"between {' and '.join(ends)} " if len(ends) == 2 else ""
-                self.notes.append(
-                    f"the loop {between}that {place.place} closes is left open: give the joints that it ties a coupling"
-                )
+                continue
+            if element.tag == "tendon":
+                self._couple_by_tendons(place, by_name)
                 continue
             if element.tag != "joint":
                 self.notes.append(f"{place.place} is left out: only couplings of two joints are read")
@@ -484,13 +553,64 @@ class _Reader:
             law = self._affine(place, by_name[second])
             offset = law[0] + self.refs[first] - law[1] * self.refs[second]
             by_name[first] = _changed(by_name[first], mimic=FileMimic(second, law[1], offset))
+        self._note_tendons(by_name)
+        return tuple(by_name.values())
+
+    def _couple_by_tendons(self, place: Place, by_name: dict[str, FileJoint]) -> None:
+        """A law between two joints from an equality of one or two fixed tendons that pass over these alone."""
+        coefficients = np.zeros(5)
+        coefficients[1] = 1.0
+        given = place.list_of_numbers("polycoef")
+        coefficients[: len(given[:5])] = given[:5]
+        first, second = place.element.get("tendon1", ""), place.element.get("tendon2")
+        terms = self._tendon_terms(first)
+        other = self._tendon_terms(second) if second is not None else {}
+        if terms is None or other is None or not set(terms) | set(other) <= set(by_name):
+            self.notes.append(f"{place.place} of {first!r} is left out: only fixed tendons over joints are read")
+            return
+        for joint, coefficient in other.items():
+            terms[joint] = terms.get(joint, 0.0) - coefficients[1] * coefficient
+        terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient != 0.0}
+        if len(terms) != 2 or (other and coefficients[2:].any()):
+            self.notes.append(f"{place.place} of {first!r} is left out: it ties {len(terms)} joints, not two by a line")
+            return
+        # The joint that has a motor leads; else the one nearer to the palm, which comes first.
+        order = [joint.name for joint in self.joints]
+        leader, follower = sorted(terms, key=lambda name: (name not in self._motors(), order.index(name)))
+        if by_name[follower].mimic is not None or _leads_to(by_name, leader, follower):
+            self.notes.append(f"{place.place} of {first!r} is left out: joint {follower!r} is coupled already")
+            return
+        slope = -terms[leader] / terms[follower]
+        offset = coefficients[0] / terms[follower] + self.refs[follower] - slope * self.refs[leader]
+        by_name[follower] = _changed(by_name[follower], mimic=FileMimic(leader, slope, offset))
+
+    def _tendon_terms(self, name: str) -> dict[str, float] | None:
+        """Coefficient of each joint of a fixed tendon; None for one along sites, or one that does not exist."""
+        tendon = next((t for t in self._section("tendon") if t.get("name") == name), None)
+        if tendon is None or tendon.tag != "fixed":
+            return None
+        terms: dict[str, float] = {}
+        for part in tendon.findall("joint"):
+            joint = part.get("joint", "")
+            terms[joint] = terms.get(joint, 0.0) + Place(part, self.source, f"tendon {name!r}").number("coef", 1.0)
+        return terms
+
+    def _motors(self) -> set[str]:
+        """Names of the joints that an actuator drives by itself."""
+        actuators = (element for element in self._section("actuator") if element.tag in ACTUATORS)
+        return {element.get("joint", element.get("jointinparent", "")) for element in actuators}
+
+    def _note_tendons(self, by_name: dict[str, FileJoint]) -> None:
+        """Says which tendons tie joints that stay independent; those of one joint or of a coupling say nothing."""
+        free = {}
         for tendon in self._section("tendon"):
             parts = [child.get("joint", "") for child in tendon.findall("joint")]
-            if len(parts) == 1:  # One string of an actuator, not a coupling.
-                continue
-            what = f"over the joints {', '.join(parts)}" if parts else "along sites"
-            self.notes.append(f"tendon {tendon.get('name', '')!r} {what} is left out; its joints count as independent")
-        return tuple(by_name.values())
+            coupled = sum(part in by_name and by_name[part].mimic is not None for part in parts)
+            if not parts or (len(parts) > 1 and coupled < len(parts) - 1):
+                free[tendon.get("name", "")] = f"over {' and '.join(parts)}" if parts else "along sites"
+        if free:
+            told = join([f"tendon {name!r} {what}" for name, what in free.items()], 4)
+            self.notes.append(f"left out: {told}; the joints that they tie count as independent")
 
     def _affine(self, place: Place, master: FileJoint) -> tuple[float, float]:
         """The coupling's offset and slope about the reference values; a curve is fitted over the master's range."""
@@ -565,6 +685,88 @@ class _Reader:
             if element.tag == "exclude" and set(pair) <= names:
                 pairs.append(pair)
         return tuple(pairs)
+
+    def _kept_apart_by_bits(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of bodies none of whose geoms may touch by their contact bits.
+
+        Where no two bodies at all may touch, that saves a simulator time; it does not mean that they cannot.
+        """
+        solid = [body for body in self.bodies if body.bits]
+        pairs = [
+            (a.name, b.name)
+            for n, a in enumerate(solid)
+            for b in solid[n + 1 :]
+            if not any(c1 & a2 or c2 & a1 for c1, a1 in a.bits for c2, a2 in b.bits)
+        ]
+        if pairs and len(pairs) == len(solid) * (len(solid) - 1) // 2:
+            text = "its contact bits let no two of its links touch; they are kept apart nevertheless."
+            self.decisions.append(Decision("decided", "file", text))
+            return ()
+        return tuple(pairs)
+
+    def _loops(self) -> Iterator[FileLoop]:
+        """The points that `<connect>` and `<weld>` hold together at the reference values."""
+        by_name = {body.name: body for body in self.bodies}
+        sites = {name: entry for body in self.root.iter("body") for name, entry in _sites(body)}
+        for element in self._section("equality"):
+            place = self._complete(element, "main", f"<equality><{element.tag[:40]}>")
+            if element.tag not in ("connect", "weld") or place.element.get("active", "true") == "false":
+                continue
+            first, second = place.element.get("body1"), place.element.get("body2", WORLD)
+            anchor = place.numbers("anchor", 3, np.zeros(3))
+            if first is None and place.element.get("site1") in sites:
+                first, site = sites[place.element.get("site1", "")]
+                anchor = Place(site, self.source, "a site").numbers("pos", 3, np.zeros(3))
+                second = sites.get(place.element.get("site2", ""), (WORLD, site))[0]
+            if first not in by_name or second not in by_name:
+                self.notes.append(
+                    f"{place.place} holds body {first or second!r} to what is no part of the hand; left out"
+                )
+                continue
+            a, b = by_name[first], by_name[second]
+            if element.tag == "weld" and "anchor" not in place.element.attrib:
+                R, p = a.X_WB
+                anchor = R.T @ (b.X_WB[1] - p)  # The origin of the second body.
+            # A weld holds three points that are not on a line.
+            offsets = np.zeros((1, 3)) if element.tag == "connect" else 0.02 * np.eye(3)
+            for p_A in anchor + offsets:
+                p_W = a.X_WB[0] @ p_A + a.X_WB[1]
+                p_B = b.X_WB[0].T @ (p_W - b.X_WB[1])
+                points = [X_LB[0] @ q + X_LB[1] for X_LB, q in ((a.X_LB, p_A), (b.X_LB, p_B))]
+                yield FileLoop((a.name, b.name), np.array(points))
+
+
+def _sites(body: Element) -> Iterator[tuple[str, tuple[str, Element]]]:
+    """Name of each site that stands in a body, with the body's name and the site."""
+    for site in body.findall("site"):
+        yield site.get("name", ""), (body.get("name", ""), site)
+
+
+def _is_free(body: Element) -> bool:
+    return body.find("freejoint") is not None or any(joint.get("type") == "free" for joint in body.findall("joint"))
+
+
+def _extent(shape: FileGeometry) -> float:
+    """Longest side of a shape's box [m]."""
+    if isinstance(shape, Sphere):
+        return 2.0 * shape.radius
+    if isinstance(shape, Box):
+        return float(np.max(shape.size))
+    if isinstance(shape, TriangleMesh):
+        return float(np.ptp(shape.vertices, axis=0).max())
+    return float(np.linalg.norm(shape.p1 - shape.p0)) + 2.0 * shape.radius
+
+
+def _leads_to(joints: dict[str, FileJoint], leader: str, follower: str) -> bool:
+    """Whether a joint follows another one, over whatever others."""
+    for _ in joints:
+        law = joints[leader].mimic
+        if law is None:
+            return False
+        leader = law.master
+        if leader == follower:
+            return True
+    return False
 
 
 def _changed(joint: FileJoint, **values: object) -> FileJoint:

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Box, Capsule, Sphere
+from xdex_drake.hand.importing.decisions import Decision
+from xdex_drake.hand.shapes import circle
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,21 @@ class Cylinder:
     p1: Array
     radius: float
 
+    def moved(self, R: Array, p: Array) -> "Cylinder":
+        """See `shapes.Shape.moved`."""
+        return Cylinder(p + R @ self.p0, p + R @ self.p1, self.radius)
+
+    def scaled(self, factor: float) -> "Cylinder":
+        """See `shapes.Shape.scaled`."""
+        return Cylinder(factor * self.p0, factor * self.p1, factor * self.radius)
+
+    def corners(self) -> Array:
+        """See `shapes.Shape.corners`: points on both rims."""
+        d = self.p1 - self.p0
+        u = d / max(float(np.linalg.norm(d)), 1e-12)
+        rim = circle(u, self.radius, np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False))
+        return np.concatenate([self.p0 + rim, self.p1 + rim])
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -40,6 +58,18 @@ class TriangleMesh:
     vertices: Array
     faces: NDArray[np.int64]
     source: str = ""
+
+    def moved(self, R: Array, p: Array) -> "TriangleMesh":
+        """See `shapes.Shape.moved`."""
+        return TriangleMesh(self.vertices @ R.T + p, self.faces, self.source)
+
+    def scaled(self, factor: float) -> "TriangleMesh":
+        """See `shapes.Shape.scaled`."""
+        return TriangleMesh(factor * self.vertices, self.faces, self.source)
+
+    def corners(self) -> Array:
+        """See `shapes.Shape.corners`: all vertices that belong to a triangle."""
+        return self.vertices[np.unique(self.faces)] if len(self.faces) else np.zeros((0, 3))
 
 
 FileGeometry = Sphere | Capsule | Box | Cylinder | TriangleMesh
@@ -69,12 +99,19 @@ class FileLink:
         visual: What is drawn, in L.
         collision: What collides, in L.
         inertia: None where the file gives none.
+        lost: For each shape that the file names but that could not be read, why.
     """
 
     name: str
     visual: tuple[FileGeometry, ...] = ()
     collision: tuple[FileGeometry, ...] = ()
     inertia: FileInertia | None = None
+    lost: tuple[str, ...] = ()
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether the file gives the link a shape, readable or not."""
+        return bool(self.visual or self.collision or self.lost)
 
 
 @dataclass(frozen=True)
@@ -121,6 +158,19 @@ class FileJoint:
 
 
 @dataclass(frozen=True)
+class FileLoop:
+    """A point of one link that coincides with a point of another: what closes a chain of joints to a loop.
+
+    Attributes:
+        links: Names of the two links.
+        points: The point in the frame of each [m], shape (2, 3).
+    """
+
+    links: tuple[str, str]
+    points: Array
+
+
+@dataclass(frozen=True)
 class FileModel:
     """A robot as its file has it: a tree of links.
 
@@ -131,6 +181,8 @@ class FileModel:
         joints: Joints.
         ignored_pairs: Pairs of links whose collision the file rules out.
         notes: What the reader had to leave out or change, one sentence each.
+        decisions: What the reader decided or mended.
+        loops: Points that hold together besides the tree's joints.
     """
 
     name: str
@@ -139,3 +191,5 @@ class FileModel:
     joints: tuple[FileJoint, ...]
     ignored_pairs: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+    loops: tuple[FileLoop, ...] = ()

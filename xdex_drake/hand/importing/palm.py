@@ -1,23 +1,32 @@
 """The palm: the link that the fingers branch from. What carries it, an arm or a forearm, is left out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, build_tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
+from xdex_drake.hand.importing.finger_names import side_from_names
+from xdex_drake.hand.importing.limbs import (
+    HEAVY,
+    MOST_JOINTS,
+    MOST_LENGTH,
+    MOST_REACH,
+    bars,
+    held_in_place,
+    joints_without_shape,
+    limb_size,
+    stay_joined,
+)
 from xdex_drake.hand.importing.model import FileModel
+from xdex_drake.hand.importing.shape import surface_points
 
-MOST_JOINTS = 8
-"""A finger has at most this many joints."""
-
-MOST_REACH = 0.5
-"""No joint of a finger is farther from the palm's frame than this [m]; those of an arm are."""
-
-FOLLOW = 3e-3
-"""A bar whose end stays this near to a point of a finger that shares its motor is part of that finger's gear [m]."""
+APART = 0.2
+"""Groups of fingers whose roots are farther from each other than this are two hands [m]."""
 
 
 @dataclass(frozen=True)
@@ -38,74 +47,292 @@ class Chain:
         return self.shared + self.bodies
 
 
-def find_hand(model: FileModel, palm: str | None, decisions: Decisions) -> Tree:
+@dataclass(frozen=True)
+class Robot:
+    """A robot's tree and the hands in it.
+
+    Attributes:
+        model: The robot, what turns in its place held.
+        without: Joints that move nothing that has a shape.
+        held: Links that turn in their place.
+        palms: Names of the links that the fingers of each hand grow from.
+        apart: Names of links that carry several hands.
+        why: What else moves, for a message where there is no hand.
+    """
+
+    model: FileModel
+    without: frozenset[str]
+    held: tuple[str, ...]
+    palms: tuple[str, ...]
+    apart: frozenset[str]
+    why: str
+
+
+def find_hand(
+    model: FileModel,
+    side: str | None,
+    palm: str | None,
+    side_of: Callable[[Tree], str | None],
+    decisions: Decisions,
+) -> Tree:
     """Cuts the hand out of a robot.
 
     Args:
         model: A checked robot.
+        side: "right" or "left", which of two hands is meant.
         palm: Name of the palm's link where a person says so.
+        side_of: Tells the side of a hand by its shape, for hands whose names do not.
         decisions: Grows by what was decided.
 
     Returns:
         The tree from the palm on.
 
     Raises:
-        HandFileError: There is no such link, or the robot has several hands.
+        HandFileError: There is no such link, no hand, or several of them.
     """
-    if palm is not None:
-        if palm not in {link.name for link in model.links}:
-            known = join([link.name for link in model.links], 8)
-            raise HandFileError(f"{model.source}: palm {palm!r} is no link of the file; name one of {known}")
-        return build_tree(model, palm, decisions)
-    whole = build_tree(model, None, [])
-    body = _palm_body(whole, model)
-    name = whole.members[body][0].link.name
-    tree = build_tree(model, name if body else None, decisions)
-    if body:
-        above, k = [], body
-        while k:
-            above.append(whole.skeleton.joints[k - 1].name)
-            k = int(whole.skeleton.parents[k])
-        behind = [member.link.name for b in _ancestors(whole.skeleton, body)[::-1] for member in whole.members[b]]
-        text = f"is the palm, from which the fingers branch; left out are {join(behind)} behind it and "
-        text += f"{'joint' if len(above) == 1 else 'joints'} {join(above[::-1])}."
-        decisions.append(Decision("decided", f"link {name}", text))
+    if palm is not None and palm not in {link.name for link in model.links}:
+        known = join([link.name for link in model.links], 8)
+        raise HandFileError(f"{model.source}: palm {palm!r} is no link of the file; name one of {known}")
+    robot = find_hands(model)
+    if palm is None:
+        palm = _choose(robot, side, side_of)
+    tree = _cut(robot, palm, decisions)
+    inside = {member.link.name for body in tree.members for member in body}
+    _say_behind(robot.model, tree, decisions)
+    _say_no_fingers(robot, inside, decisions)
     return tree
 
 
-def find_chains(tree: Tree, decisions: Decisions) -> list[Chain]:
+def find_hands(model: FileModel) -> Robot:
+    """The hands of a robot: for each the deepest link that carries all of its fingers.
+
+    Args:
+        model: A checked robot.
+
+    Returns:
+        What was found.
+    """
+    without = joints_without_shape(model)
+    if len(without) == sum(joint.kind != "fixed" for joint in model.joints):
+        without = frozenset()
+    model, held = held_in_place(model, build_tree(model, None, [], without=without))
+    if all(joint.kind == "fixed" for joint in model.joints):
+        return Robot(model, without, tuple(held), (), frozenset(), "all that moves turns in its place")
+    tree = build_tree(model, None, [], without=without)
+    ends = _ends_of_links(model, tree)
+    top = next(link.name for link in model.links if link.name not in {joint.child for joint in model.joints})
+    apart: set[str] = set()
+    palms = _palms(model, tree, ends, top, apart)
+    most = max((len(ends[name]) for name in palms), default=0)
+    palms = [name for name in palms if 2 * len(ends[name]) >= most]
+    return Robot(model, without, tuple(held), tuple(palms), frozenset(apart), _why(tree))
+
+
+def _choose(robot: Robot, side: str | None, side_of: Callable[[Tree], str | None]) -> str:
+    """The palm that is meant."""
+    source, palms = robot.model.source, list(robot.palms)
+    if not palms:
+        raise HandFileError(f"{source}: there is no hand in it: {robot.why}; give a hand of two fingers or more")
+    if len(palms) > 1 and side is not None:
+        by_names = [name for name in palms if _side_below(robot.model, name) == side]
+        palms = by_names or [name for name in palms if side_of(_cut(robot, name, [])) == side] or palms
+    if len(palms) > 1:
+        raise HandFileError(
+            f"{source}: the robot has several hands, at {join(palms)}; choose one by --side right or --palm {palms[0]} "
+            "(side= or palm= in Python)"
+        )
+    return palms[0]
+
+
+def _cut(robot: Robot, palm: str, decisions: Decisions) -> Tree:
+    return build_tree(robot.model, palm, decisions, without=robot.without, apart=robot.apart)
+
+
+def _below(model: FileModel, top: str) -> list[str]:
+    """Names of a link and of all that it carries."""
+    children: dict[str, list[str]] = {}
+    for joint in model.joints:
+        children.setdefault(joint.parent, []).append(joint.child)
+    names, todo = [], [top]
+    while todo:
+        names.append(todo.pop())
+        todo += children.get(names[-1], [])
+    return names
+
+
+def _side_below(model: FileModel, top: str) -> str | None:
+    inside = set(_below(model, top))
+    return side_from_names([*inside, *(joint.name for joint in model.joints if joint.child in inside)])
+
+
+def _ends_of_links(model: FileModel, tree: Tree) -> dict[str, list[int]]:
+    """For each link of the file the last bodies of the chains that it carries."""
+    hand = tree.skeleton
+    left_out = bars(tree)
+    parents = {int(hand.parents[k]) for k in range(1, len(hand.links)) if k not in left_out}
+    inbound = {joint.child: joint.parent for joint in model.joints}
+    ends: dict[str, list[int]] = {link.name: [] for link in model.links}
+    for leaf in range(1, len(hand.links)):
+        if leaf in parents or leaf in left_out:
+            continue
+        name: str | None = inbound[tree.members[leaf][0].link.name]
+        while name is not None:
+            ends[name].append(leaf)
+            name = inbound.get(name)
+    return ends
+
+
+def _palms(model: FileModel, tree: Tree, ends: dict[str, list[int]], top: str, apart: set[str]) -> list[str]:
+    """Palms at or below a link; `apart` grows by links that carry several hands."""
+    groups = [top]
+    while len(groups) == 1 and len(ends[groups[0]]) == len(ends[top]):
+        top = groups[0]
+        groups = [joint.child for joint in model.joints if joint.parent == top and len(ends[joint.child]) >= 2]
+    _, p = link_poses(tree.skeleton, np.clip(0.0, *tree.skeleton.limits)[None])
+    body = next((k for k, members in enumerate(tree.members) if top in {m.link.name for m in members}), None)
+    fits = body is not None and len(ends[top]) > 0 and all(_is_finger(tree, leaf, body, p[0]) for leaf in ends[top])
+    if fits and not _are_hands(model, tree, ends, top, groups, p[0]):
+        return [top] if len(ends[top]) >= 2 else []
+    apart.add(top)
+    return [name for group in groups for name in _palms(model, tree, ends, group, apart)]
+
+
+def _is_finger(tree: Tree, leaf: int, base: int, p_BLs: Array) -> bool:
+    count, reach, length, mass = limb_size(tree, leaf, base, p_BLs)
+    heavy = mass > HEAVY[0] and length > HEAVY[1]
+    return count <= MOST_JOINTS and reach <= MOST_REACH and length <= MOST_LENGTH and not heavy
+
+
+def _are_hands(
+    model: FileModel, tree: Tree, ends: dict[str, list[int]], top: str, groups: list[str], p_BLs: Array
+) -> bool:
+    """Whether groups of fingers that one link carries are hands of their own, not halves of one palm."""
+    if len(groups) < 2:
+        return False
+    sides = [_side_below(model, name) for name in groups]
+    if "left" in sides and "right" in sides:
+        return True
+    if sum(len(ends[name]) >= 3 for name in groups) >= 2:
+        return True
+    if sum(len(ends[name]) for name in groups) < len(ends[top]):
+        return False
+    roots = np.array([np.mean([_root(tree, leaf, p_BLs) for leaf in ends[name]], axis=0) for name in groups])
+    return float(np.linalg.norm(roots[1:] - roots[0], axis=1).min()) > APART
+
+
+def _root(tree: Tree, leaf: int, p_BLs: Array) -> Array:
+    """Origin of the last joint of a chain but one, where there are two."""
+    parent = int(tree.skeleton.parents[leaf])
+    return p_BLs[parent if parent > 0 else leaf]
+
+
+def _why(tree: Tree) -> str:
+    """Why the chains of a robot are not the fingers of a hand."""
+    hand = tree.skeleton
+    leaves = _leaves(hand, bars(tree))
+    p = link_poses(hand, np.clip(0.0, *hand.limits)[None])[1][0]
+    branches = np.bincount(hand.parents[1:], minlength=len(hand.links))
+    told = []
+    for leaf in leaves:
+        base = int(hand.parents[leaf])
+        while base > 0 and branches[base] == 1:
+            base = int(hand.parents[base])
+        count, _, length, mass = limb_size(tree, leaf, base, p)
+        name = tree.members[leaf][0].link.name
+        told.append(f"{name} ends a chain of {count} joints, {length:.2g} m and {mass:.2g} kg")
+    if len(leaves) == 1 and limb_size(tree, leaves[0], 0, p)[0] > 2:
+        return f"it is a chain without a branch ({told[0]}), as an arm without a hand"
+    if len(leaves) == 1:
+        return f"one finger or jaw alone moves ({told[0]}), and nothing would oppose it"
+    return join(told, 3) if told else "nothing in it moves a shape"
+
+
+def _say_behind(model: FileModel, tree: Tree, decisions: Decisions) -> None:
+    """Says what carries the palm and is left out."""
+    inbound = {joint.child: joint for joint in model.joints}
+    above, behind, name = [], [], tree.members[0][0].link.name
+    while name in inbound:
+        if inbound[name].kind != "fixed":
+            above.append(inbound[name].name)
+        name = inbound[name].parent
+        behind.append(name)
+    if behind:
+        text = f"is the palm, from which the fingers branch; left out are {join(behind[::-1])} behind it"
+        if above:
+            text += f" and {'joint' if len(above) == 1 else 'joints'} {join(above[::-1])}"
+        decisions.append(Decision("decided", f"link {tree.members[0][0].link.name}", text + "."))
+
+
+def _say_no_fingers(robot: Robot, inside: set[str], decisions: Decisions) -> None:
+    idle = [joint.child for joint in robot.model.joints if joint.name in robot.without and joint.parent in inside]
+    if idle:
+        text = "no finger: its joint moves nothing that has a shape, as that of a motor or an encoder; left out."
+        decisions.append(Decision("decided", f"link {join(idle)}", text))
+    still = [name for name in robot.held if name in inside]
+    if still:
+        text = "no finger: it turns in its place, as a knob or a wheel; taken as rigidly attached."
+        decisions.append(Decision("decided", f"link {join(still)}", text))
+
+
+def find_chains(tree: Tree, model: FileModel, decisions: Decisions) -> list[Chain]:
     """The chains of links from the palm to the tips, in the order of the file.
 
     Args:
         tree: The hand.
+        model: The robot, for the points at which its loops are closed.
         decisions: Grows by what was decided.
 
     Returns:
         One chain for each finger.
     """
     hand = tree.skeleton
+    folded = bars(tree)
     children: list[list[int]] = [[] for _ in hand.links]
     for k in range(1, len(hand.links)):
-        children[hand.parents[k]].append(k)
+        if k not in folded:
+            children[hand.parents[k]].append(k)
     chains = []
-    for tip in _leaves(hand):
+    for tip in _leaves(hand, folded):
         path = [tip]
         while hand.parents[path[-1]] > 0:
             path.append(int(hand.parents[path[-1]]))
         path = path[::-1]
         branch = max((n + 1 for n, k in enumerate(path[:-1]) if len(children[k]) > 1), default=0)
         chains.append(Chain(tuple(path[branch:]), tuple(path[:branch])))
+    tied = _tied_by_loops(tree, model, chains)
     kept = [
         chain
         for k, chain in enumerate(chains)
-        if not _is_idle(tree, chain) and not _is_gear(hand, chain, chains[:k] + chains[k + 1 :])
+        if k not in tied and not _is_idle(tree, chain) and not _is_gear(hand, chain, chains[:k] + chains[k + 1 :])
     ]
-    if 0 < len(kept) < len(chains):
-        bars = [hand.links[chain.bodies[-1]].name for chain in chains if chain not in kept]
+    kept = kept or chains
+    names = [hand.links[chain.bodies[-1]].name for chain in chains if chain not in kept]
+    names += [hand.links[k].name for k in sorted(folded)]
+    if names:
         text = "not taken as a finger: a bar of a finger's gear, which ends on it or which nothing else moves."
-        decisions.append(Decision("decided", f"link {join(bars)}", text))
-        return kept
-    return chains
+        decisions.append(Decision("decided", f"link {join(names)}", text))
+    return kept
+
+
+def _tied_by_loops(tree: Tree, model: FileModel, chains: list[Chain]) -> set[int]:
+    """Chains that a loop closes onto another one that reaches farther from the palm: bars of a linkage."""
+    hand = tree.skeleton
+    body_of = {member.link.name: k for k, body in enumerate(tree.members) for member in body}
+    p = link_poses(hand, np.clip(0.0, *hand.limits)[None])
+    reach = {}
+    for n, chain in enumerate(chains):
+        points = surface_points(tree.members[chain.bodies[-1]])
+        points = np.zeros((1, 3)) if len(points) == 0 else points
+        ends = points @ p[0][0, chain.bodies[-1]].T + p[1][0, chain.bodies[-1]]
+        reach[n] = float(np.linalg.norm(ends, axis=1).max())
+    tied = set()
+    for loop in model.loops:
+        a, b = (body_of.get(name, -1) for name in loop.links)
+        of_a = [n for n, chain in enumerate(chains) if a in chain.path]
+        of_b = [n for n, chain in enumerate(chains) if b in chain.path]
+        if len(of_a) == 1 and len(of_b) == 1 and of_a != of_b:
+            tied.add(min((of_a[0], of_b[0]), key=lambda n: reach[n]))
+    return tied
 
 
 def _is_idle(tree: Tree, chain: Chain) -> bool:
@@ -114,52 +341,9 @@ def _is_idle(tree: Tree, chain: Chain) -> bool:
     return all(tree.driven[k - 1] is False and joints[k - 1].coupling is None for k in chain.path)
 
 
-def _leaves(hand: Hand) -> list[int]:
-    parents = set(hand.parents.tolist())
-    return [k for k in range(1, len(hand.links)) if k not in parents]
-
-
-def _ancestors(hand: Hand, body: int) -> list[int]:
-    out, k = [], int(hand.parents[body])
-    while k >= 0:
-        out.append(k)
-        k = int(hand.parents[k])
-    return out
-
-
-def _palm_body(tree: Tree, model: FileModel) -> int:
-    """The deepest body that carries the most finger-like chains and no other."""
-    hand = tree.skeleton
-    leaves = _leaves(hand)
-    _, p = link_poses(hand, np.clip(0.0, *hand.limits)[None])
-    p_BLs = p[0]
-    above = {leaf: _ancestors(hand, leaf) for leaf in leaves}
-    if len(leaves) == 1:
-        if len(above[leaves[0]]) <= 4:
-            return 0
-        link = tree.members[int(hand.parents[leaves[0]])][0].link.name
-        raise HandFileError(
-            f"{model.source}: the robot is a chain of {len(above[leaves[0]])} joints without a branch, as an arm "
-            f"without a hand; give a hand, or, for a gripper with one moving jaw, its base, as by palm={link!r}"
-        )
-    counts: dict[int, int] = {}
-    for body in range(len(hand.links)):
-        below = [leaf for leaf in leaves if body in above[leaf]]
-        joints = [above[leaf].index(body) + 1 for leaf in below]
-        reach = [float(np.linalg.norm(p_BLs[leaf] - p_BLs[body])) for leaf in below]
-        if below and max(joints) <= MOST_JOINTS and max(reach) <= MOST_REACH:
-            counts[body] = len(below)
-    most = max(counts.values(), default=0)
-    if most < 2:
-        return 0
-    candidates = [body for body, count in counts.items() if count == most]
-    deepest = [b for b in candidates if not any(b in _ancestors(hand, c) for c in candidates)]
-    if len(deepest) > 1:
-        names = [tree.members[b][0].link.name for b in deepest]
-        raise HandFileError(
-            f"{model.source}: the robot has several hands, at links {', '.join(names)}; say which by palm={names[0]!r}"
-        )
-    return deepest[0]
+def _leaves(hand: Hand, left_out: set[int]) -> list[int]:
+    parents = {int(hand.parents[k]) for k in range(1, len(hand.links)) if k not in left_out}
+    return [k for k in range(1, len(hand.links)) if k not in parents and k not in left_out]
 
 
 def _is_gear(hand: Hand, chain: Chain, others: list[Chain]) -> bool:
@@ -183,15 +367,6 @@ def _is_gear(hand: Hand, chain: Chain, others: list[Chain]) -> bool:
         axis = R[0, chain.bodies[0]] @ hand.joints[chain.bodies[0] - 1].axis
         apart = p[0, chain.bodies[0]] - p[0, other.bodies[0]]
         across = apart - axis * (apart @ axis)
-        if 3e-3 < float(np.linalg.norm(across)) < 0.05 and _stay_joined(R, p, chain.bodies[-1], other.bodies[-1]):
+        if 3e-3 < float(np.linalg.norm(across)) < 0.05 and stay_joined(R, p, chain.bodies[-1], other.bodies[-1]):
             return True
     return False
-
-
-def _stay_joined(R: Array, p: Array, a: int, b: int) -> bool:
-    """Whether some point is fixed in both of two links over all postures."""
-    rows = np.concatenate([R[:, a], -R[:, b]], axis=2).reshape(-1, 6)  # R_a c_a + p_a = R_b c_b + p_b
-    gap = (p[:, b] - p[:, a]).ravel()
-    solution = np.linalg.lstsq(rows, gap, rcond=1e-6)[0]
-    near = bool(np.linalg.norm(solution[:3]) < 0.15)
-    return near and float(np.abs(rows @ solution - gap).max()) < FOLLOW

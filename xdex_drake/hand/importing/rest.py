@@ -3,11 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from xdex_drake.arrays import Array
 from xdex_drake.hand.collision import ignored_indices
-from xdex_drake.hand.description import Array, Hand
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.anatomy import Anatomy
 from xdex_drake.hand.importing.bodies import link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions
+from xdex_drake.hand.importing.postures import Senses, senses
 
 CURL = 1.6
 """How far the last link of a finger is turned at rest [rad], where its range allows."""
@@ -63,7 +65,8 @@ def rest_posture(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> Array:
             q = _bent(hand, q, digit.closing, digit.chain.path, C)
     if "thumb" not in anatomy.names:
         return q
-    pairs = _free_pairs(hand)
+    drawn = senses(hand, anatomy)
+    pairs = _free_pairs(hand, drawn)
     thumb = anatomy.digits[anatomy.names.index("thumb")]
     moves = (C[[k - 1 for k in thumb.chain.path]] != 0.0).any(axis=0)
     if len(anatomy.digits) <= 3 and (thumb.closing[moves] != 0.0).all():
@@ -76,7 +79,7 @@ def rest_posture(hand: Hand, anatomy: Anatomy, decisions: Decisions) -> Array:
         q = qs[int(np.argmin(_cost(hand, anatomy, qs) + PRESS * _overlap(hand, qs, pairs)))]
         if _overlap(hand, q[None], pairs)[0] <= SLACK:
             return q
-    best = _opposed(hand, anatomy, q, moves, pairs)
+    best = _opposed(hand, anatomy, q, moves, pairs, drawn)
     left = _overlap(hand, best[None], pairs)[0]
     if left > CLEARANCE + SLACK:
         text = f"its links overlap by {1e3 * (left - CLEARANCE):.1f} mm at the rest posture; look at it and change it."
@@ -106,7 +109,9 @@ def _bent(hand: Hand, q: Array, closing: Array, path: tuple[int, ...], C: Array)
     return np.where(closing != 0.0, begin + np.where(full, 0.5, share) * (end - begin), q)
 
 
-def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], pairs: list[Pair]) -> Array:
+def _opposed(
+    hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], pairs: list[Pair], drawn: Senses
+) -> Array:
     """The best of many postures, refined by shrinking random steps: the thumb's anywhere, the others' near `q`."""
     lower, upper = hand.limits
     span = upper - lower
@@ -121,8 +126,8 @@ def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], p
 
     q = np.where(moves, _bent(hand, q, thumb.closing, thumb.chain.path, hand.coupling_matrix), q)
     qs = np.repeat(q[None], TRIALS, axis=0)
-    qs[1:] += np.where(moves, 0.0, 0.12) * span * rng.normal(size=(TRIALS - 1, len(q)))
-    anywhere = lower + rng.random((TRIALS - 1, len(q))) * span
+    qs[1:] += np.where(moves, 0.0, 0.12) * span * drawn.steps(rng.normal(size=(TRIALS - 1, len(q))))
+    anywhere = lower + drawn.shares(rng.random((TRIALS - 1, len(q)))) * span
     qs[1:, moves] = anywhere[:, moves]
     qs = np.clip(qs, lower, upper)
     scale = 0.2
@@ -131,7 +136,7 @@ def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], p
         order = np.argsort(costs, kind="stable")[:150]
         exact = costs[order] + PRESS * _overlap(hand, qs[order], pairs)
         best = qs[order[np.argsort(exact, kind="stable")[:10]]]
-        steps = scale * span * rng.normal(size=(600, len(q))) * np.where(moves, 1.0, 0.3)
+        steps = scale * span * drawn.steps(rng.normal(size=(600, len(q)))) * np.where(moves, 1.0, 0.3)
         qs = np.concatenate([best, np.clip(np.repeat(best, 60, axis=0) + steps, lower, upper)])
         scale *= 0.6
     best = qs[0]
@@ -140,7 +145,7 @@ def _opposed(hand: Hand, anatomy: Anatomy, q: Array, moves: NDArray[np.bool_], p
         return float((cost(q[None]) + PRESS * _overlap(hand, q[None], pairs))[0])
 
     # What need not give way goes back.
-    for k in np.flatnonzero(~moves):
+    for k in [k for k in drawn.order if not moves[k]]:
         calm = best.copy()
         calm[k] = q[k]
         if total(calm) < total(best) + 0.02:
@@ -175,11 +180,11 @@ def _cost(hand: Hand, anatomy: Anatomy, qs: Array) -> Array:
     return cost + 0.5 * (((qs - middle) / half) ** 4).mean(axis=1)
 
 
-def _free_pairs(hand: Hand) -> list[Pair]:
+def _free_pairs(hand: Hand, drawn: Senses) -> list[Pair]:
     """Pairs of links that are no neighbors, with the distance that they can be expected to keep."""
     lower, upper = hand.limits
     rng = np.random.default_rng(1)
-    qs = lower + rng.random((48, len(lower))) * (upper - lower)
+    qs = lower + drawn.shares(rng.random((48, len(lower)))) * (upper - lower)
     solid = [k for k, link in enumerate(hand.links) if len(link.spheres)]
     parent = {k: _solid_parent(hand, k) for k in solid}
     placed = _placed(hand, qs)

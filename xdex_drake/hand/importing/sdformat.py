@@ -14,8 +14,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.importing.mesh_files import MeshFiles, MissingMesh
+from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, notes_of_lost
 from xdex_drake.hand.importing.model import FileGeometry, FileLink, FileModel, TriangleMesh
 from xdex_drake.hand.importing.xml_file import MAX_LINKS, Element, read_xml
 
@@ -26,11 +27,12 @@ TIME_LIMIT = 60.0
 UNSUPPORTED = ("include", "actor", "population", "road", "heightmap", "polyline", "image")
 
 
-def read_sdf(path: str | Path) -> FileModel:
+def read_sdf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     """Reads an SDFormat file that holds one model.
 
     Args:
         path: The file.
+        allowed: What may be read besides the hand's folder.
 
     Returns:
         The robot as the file has it.
@@ -43,15 +45,23 @@ def read_sdf(path: str | Path) -> FileModel:
     root = read_xml(path, WHAT)
     if root.tag != "sdf":
         raise HandFileError(f"{path}: its root element is <{root.tag[:40]}>, not <sdf>; give {WHAT}")
-    notes: list[str] = []
+    meshes = MeshFiles(path, allowed)
+    lost: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory(prefix="xdex-sdf-") as folder:
         _check(root, path)
-        names = _localize_meshes(root, path, Path(folder), notes)
+        names = _localize_meshes(root, meshes, Path(folder), lost)
         copy = Path(folder) / "hand.sdf"
         ElementTree.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
         model = _parse_apart(copy, path)
+    links = _renamed(model, names, lost)
     return FileModel(
-        model.name, str(path), _renamed(model, names), model.joints, model.ignored_pairs, (*notes, *model.notes)
+        model.name,
+        str(path),
+        links,
+        model.joints,
+        model.ignored_pairs,
+        (*model.notes, *notes_of_lost(links)),
+        meshes.decisions,
     )
 
 
@@ -92,34 +102,32 @@ def _number(limit: Element, tag: str, default: float, source: str, place: str) -
         raise HandFileError(f"{source}: {place} has the {tag} limit {text!r:.40}; write a number") from None
 
 
-def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) -> dict[str, str]:
+def _localize_meshes(root: Element, meshes: MeshFiles, folder: Path, lost: dict[str, list[str]]) -> dict[str, str]:
     """Lets each mesh element refer to an OBJ file in `folder`, removes shapes whose mesh is missing.
 
     Returns:
         Name of the mesh's own file by that of the OBJ file.
     """
-    meshes = MeshFiles(path)
     written: dict[tuple[Path, str], str] = {}
     for link in root.iter("link"):
-        place = f"link {link.get('name')!r}"
         for part in [*link.findall("visual"), *link.findall("collision")]:
             part[:] = [child for child in part if child.tag != "material"]  # Scripts and textures are files, too.
             for element in list(part.iter("mesh")):
-                uri = (element.findtext("uri") or "").strip()
+                uri, scale = (element.findtext("uri") or "").strip(), element.findtext("scale") or "1 1 1"
                 try:
                     file = meshes.locate(uri)
-                    if (file, uri) not in written:
-                        mesh = meshes.read(uri, np.ones(3))
+                    if (file, scale) not in written:
                         target = folder / f"mesh_{len(written)}.obj"
-                        _write_obj(mesh, target)
-                        written[file, uri] = target.name
+                        _write_obj(meshes.read(uri, _scale(scale, str(meshes.path))), target)
+                        written[file, scale] = target.name
                 except MissingMesh as cause:
-                    notes.append(f"{place}: the mesh {cause}")
+                    lost.setdefault(link.get("name", ""), []).append(str(cause))
                     link.remove(part)
                     break
                 entry = element.find("uri")
                 assert entry is not None
-                entry.text = written[file, uri]
+                entry.text = written[file, scale]
+                element[:] = [child for child in element if child.tag != "scale"]
     for element in root.iter():
         if element.tag in ("uri", "filename") and not (element.text or "").startswith("mesh_"):
             element.text = ""
@@ -128,14 +136,24 @@ def _localize_meshes(root: Element, path: Path, folder: Path, notes: list[str]) 
     return {target: file.name for (file, _), target in written.items()}
 
 
+def _scale(text: str, source: str) -> Array:
+    try:
+        scale = np.array([float(word) for word in text.split()])
+    except ValueError:
+        scale = np.zeros(0)
+    if len(scale) not in (1, 3) or not np.isfinite(scale).all():
+        raise HandFileError(f"{source}: a <mesh> has the scale {text!r:.60}; give three numbers")
+    return np.ones(3) * scale
+
+
 def _write_obj(mesh: TriangleMesh, file: Path) -> None:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     file.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-def _renamed(model: FileModel, names: dict[str, str]) -> tuple[FileLink, ...]:
-    """The links with the names of their meshes' own files."""
+def _renamed(model: FileModel, names: dict[str, str], lost: dict[str, list[str]]) -> tuple[FileLink, ...]:
+    """The links with the names of their meshes' own files, and with what they lack."""
 
     def rename(shape: FileGeometry) -> FileGeometry:
         if isinstance(shape, TriangleMesh):
@@ -143,7 +161,13 @@ def _renamed(model: FileModel, names: dict[str, str]) -> tuple[FileLink, ...]:
         return shape
 
     return tuple(
-        FileLink(link.name, tuple(map(rename, link.visual)), tuple(map(rename, link.collision)), link.inertia)
+        FileLink(
+            link.name,
+            tuple(map(rename, link.visual)),
+            tuple(map(rename, link.collision)),
+            link.inertia,
+            tuple(dict.fromkeys(lost.get(link.name, ()))),
+        )
         for link in model.links
     )
 

@@ -5,6 +5,7 @@ of the same radius and volume, a shorter one a prism. A mesh is taken apart into
 hull, or several where that hull would stand out of its surface by more than `CONCAVITY`.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -13,10 +14,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from xdex_drake.hand.description import Array, Box, Capsule, Convex, Geometry, Sphere
-from xdex_drake.hand.importing.bodies import Member
-from xdex_drake.hand.importing.decisions import Decision, Decisions
+from xdex_drake.arrays import Array
+from xdex_drake.hand.description import Capsule, Convex, Geometry
+from xdex_drake.hand.importing.bodies import Member, Tree
+from xdex_drake.hand.importing.decisions import Decision, Decisions, join
 from xdex_drake.hand.importing.model import Cylinder, FileGeometry, TriangleMesh
+from xdex_drake.hand.shapes import circle
 
 Faces = NDArray[np.int64]
 
@@ -70,16 +73,44 @@ def link_shapes(name: str, members: tuple[Member, ...], decisions: Decisions) ->
             given = member.link.visual
             from_visual.append(member.link.name)
         for shape in given:
-            shapes.extend(_primitives(moved(shape, member.X_LF), name, decisions))
+            shapes.extend(_primitives(shape.moved(*_rotation_and_origin(member)), name, decisions))
     if from_visual:
         text = "has no collision shape; its visual shape is used instead."
-        for link in from_visual:
-            decisions.append(Decision("decided", f"link {link}", text))
+        decisions.append(Decision("decided", f"link {join(from_visual)}", text))
     return tuple(shapes)
 
 
+def without_markers(tree: Tree, decisions: Decisions) -> Tree:
+    """Leaves out what is drawn to mark a frame: visual primitives of links that do not collide, on a body that does.
+
+    Args:
+        tree: The hand.
+        decisions: Grows by what was decided.
+
+    Returns:
+        The hand without these shapes.
+    """
+    bodies, marks = [], []
+    for body in tree.members:
+        if any(member.link.collision for member in body):
+            for k, member in enumerate(body):
+                drawn = tuple(shape for shape in member.link.visual if isinstance(shape, TriangleMesh))
+                if not member.link.collision and len(drawn) < len(member.link.visual):
+                    body = (*body[:k], replace(member, link=replace(member.link, visual=drawn)), *body[k + 1 :])
+                    marks.append(member.link.name)
+        bodies.append(body)
+    if marks:
+        text = (
+            "its visual primitives collide with nothing, though other shapes of its body do; taken as marks, left out."
+        )
+        decisions.append(Decision("decided", f"link {join(marks)}", text))
+    return replace(tree, members=tuple(bodies))
+
+
 def surface_points(members: tuple[Member, ...]) -> Array:
-    """Points that span the surface of a body, of its visual and its collision shapes.
+    """Points that span the surface of a body, of its collision shapes and of its visual ones but for marks.
+
+    Primitives that are drawn only are marks where the body has anything that collides.
 
     Args:
         members: Its links.
@@ -87,55 +118,16 @@ def surface_points(members: tuple[Member, ...]) -> Array:
     Returns:
         Points in L [m], shape (n, 3).
     """
-    points = [
-        _corners(moved(shape, member.X_LF))
-        for member in members
-        for shape in (*member.link.collision, *member.link.visual)
-    ]
+    collides = any(member.link.collision for member in members)
+    points = []
+    for member in members:
+        drawn = [shape for shape in member.link.visual if isinstance(shape, TriangleMesh) or not collides]
+        points += [shape.moved(*_rotation_and_origin(member)).corners() for shape in (*member.link.collision, *drawn)]
     return np.concatenate(points) if points else np.zeros((0, 3))
 
 
-def moved(shape: FileGeometry, X_AB: Array) -> FileGeometry:
-    """A shape given in frame B, in frame A.
-
-    Args:
-        shape: The shape.
-        X_AB: Pose of B in A, homogeneous, shape (4, 4).
-
-    Returns:
-        The same kind of shape.
-    """
-    R, p = X_AB[:3, :3], X_AB[:3, 3]
-    if isinstance(shape, Sphere):
-        return Sphere(R @ shape.center + p, shape.radius)
-    if isinstance(shape, Capsule):
-        return Capsule(R @ shape.p0 + p, R @ shape.p1 + p, shape.radius)
-    if isinstance(shape, Cylinder):
-        return Cylinder(R @ shape.p0 + p, R @ shape.p1 + p, shape.radius)
-    if isinstance(shape, Box):
-        return Box(shape.size, R @ shape.p_LG + p, R @ shape.R_LG)
-    return TriangleMesh(shape.vertices @ R.T + p, shape.faces, shape.source)
-
-
-def scaled(shape: FileGeometry, factor: float) -> FileGeometry:
-    """A shape scaled about its frame's origin.
-
-    Args:
-        shape: The shape.
-        factor: The factor.
-
-    Returns:
-        The same kind of shape.
-    """
-    if isinstance(shape, Sphere):
-        return Sphere(shape.center * factor, shape.radius * factor)
-    if isinstance(shape, Capsule):
-        return Capsule(shape.p0 * factor, shape.p1 * factor, shape.radius * factor)
-    if isinstance(shape, Cylinder):
-        return Cylinder(shape.p0 * factor, shape.p1 * factor, shape.radius * factor)
-    if isinstance(shape, Box):
-        return Box(shape.size * factor, shape.p_LG * factor, shape.R_LG)
-    return TriangleMesh(shape.vertices * factor, shape.faces, shape.source)
+def _rotation_and_origin(member: Member) -> tuple[Array, Array]:
+    return member.X_LF[:3, :3], member.X_LF[:3, 3]
 
 
 def _primitives(shape: FileGeometry, name: str, decisions: Decisions) -> list[Geometry]:
@@ -163,9 +155,7 @@ def _from_cylinder(cylinder: Cylinder) -> Geometry:
     if length >= 2.0 * r:
         half = 0.5 * (length - 4.0 / 3.0 * r)
         return Capsule(middle - half * u, middle + half * u, r)
-    across = np.linalg.svd(u[None])[2][1:]  # (2, 3)
-    turns = np.linspace(0.0, 2.0 * np.pi, PRISM_SIDES, endpoint=False)
-    ring = r * np.column_stack([np.cos(turns), np.sin(turns)]) @ across
+    ring = circle(u, r, np.linspace(0.0, 2.0 * np.pi, PRISM_SIDES, endpoint=False))
     return Convex(np.concatenate([ring + cylinder.p0, ring + cylinder.p1]))
 
 
@@ -354,24 +344,3 @@ def _merge(parts: list[Array]) -> list[Array]:
         volumes.append(float(ConvexHull(parts[-1]).volume))
         alive = [k for k in alive if k not in (i, j)] + [len(parts) - 1]
     return [parts[k] for k in alive]
-
-
-def _corners(shape: FileGeometry) -> Array:
-    if isinstance(shape, Sphere):
-        return shape.center + shape.radius * np.concatenate([np.eye(3), -np.eye(3)])
-    if isinstance(shape, Box):
-        signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
-        return shape.p_LG + (signs * shape.size) @ shape.R_LG.T
-    if isinstance(shape, TriangleMesh):
-        return shape.vertices[np.unique(shape.faces)] if len(shape.faces) else np.zeros((0, 3))
-    d = shape.p1 - shape.p0
-    u = d / max(float(np.linalg.norm(d)), 1e-12)
-    across = np.linalg.svd(u[None])[2][1:]
-    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    ring = shape.radius * np.column_stack([np.cos(turns), np.sin(turns)]) @ across
-    ends = [shape.p0, shape.p1]
-    if isinstance(shape, Capsule):
-        ends += [shape.p0 - 0.5 * shape.radius * u, shape.p1 + 0.5 * shape.radius * u]
-        caps = [(shape.p0 - shape.radius * u)[None], (shape.p1 + shape.radius * u)[None]]
-        return np.concatenate([ends[0] + ring, ends[1] + ring, *caps])
-    return np.concatenate([ends[0] + ring, ends[1] + ring])

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array, Box, Capsule, Sphere
-from xdex_drake.hand.importing.mesh_files import MeshFiles, MissingMesh, ellipsoid, placed
+from xdex_drake.hand.description import Box, Capsule, Sphere
+from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, ellipsoid, notes_of_lost, placed
 from xdex_drake.hand.importing.model import (
     Cylinder,
     FileGeometry,
@@ -25,14 +26,15 @@ MAX_PAIRS = 10_000
 KINDS = ("revolute", "continuous", "prismatic", "fixed")
 
 
-def read_urdf(path: str | Path) -> FileModel:
+def read_urdf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     """Reads a URDF file.
 
     Meshes (OBJ, STL, PLY, OFF, glTF, COLLADA) are read from the hand's folder only, see `mesh_files`; one that is
-    missing or broken is a note, not an error.
+    missing or broken is told with its link, not an error.
 
     Args:
         path: The file.
+        allowed: What may be read besides the hand's folder.
 
     Returns:
         The robot as the file has it.
@@ -51,7 +53,7 @@ def read_urdf(path: str | Path) -> FileModel:
     links, joints = _named(root, "link", source), _named(root, "joint", source)
     if not links:
         raise HandFileError(f"{path}: has no links; give {WHAT}")
-    meshes = MeshFiles(path)
+    meshes = MeshFiles(path, allowed)
     file_links = tuple(_link(name, place, meshes, notes) for name, place in links.items())
     file_joints = tuple(
         joint for name, place in joints.items() if (joint := _joint(name, place, links, notes)) is not None
@@ -60,7 +62,15 @@ def read_urdf(path: str | Path) -> FileModel:
     file_links, file_joints = as_one_tree(source, file_links, file_joints, notes)
     pairs = _filtered(root, {link.name for link in file_links})
     name = root.get("name") or path.stem
-    return FileModel(name, source, file_links, file_joints, pairs, tuple(dict.fromkeys(notes)))
+    return FileModel(
+        name,
+        source,
+        file_links,
+        file_joints,
+        pairs,
+        (*dict.fromkeys(notes), *notes_of_lost(file_links)),
+        meshes.decisions,
+    )
 
 
 def _refuse_xacro(root: Element, path: Path) -> None:
@@ -106,11 +116,19 @@ def _pose(place: Place | None) -> tuple[Array, Array]:
 
 
 def _link(name: str, place: Place, meshes: MeshFiles, notes: list[str]) -> FileLink:
-    shapes: dict[str, tuple[FileGeometry, ...]] = {}
-    for kind in ("visual", "collision"):
-        parts = [Place(element, place.source, f"<{kind}> of {place.place}") for element in place.element.findall(kind)]
-        shapes[kind] = tuple(shape for part in parts if (shape := _shape(part, meshes, notes)) is not None)
-    return FileLink(name, shapes["visual"], shapes["collision"], _inertia(place, notes))
+    shapes: dict[str, list[FileGeometry]] = {"visual": [], "collision": []}
+    lost: dict[str, None] = {}
+    for kind, mine in shapes.items():
+        for element in place.element.findall(kind):
+            part = Place(element, place.source, f"<{kind}> of {place.place}")
+            try:
+                shape = _shape(part, meshes, notes)
+            except MissingMesh as cause:
+                lost[str(cause)] = None
+                continue
+            if shape is not None:
+                mine.append(shape)
+    return FileLink(name, tuple(shapes["visual"]), tuple(shapes["collision"]), _inertia(place, notes), tuple(lost))
 
 
 def _inertia(place: Place, notes: list[str]) -> FileInertia | None:
@@ -145,11 +163,7 @@ def _shape(place: Place, meshes: MeshFiles, notes: list[str]) -> FileGeometry | 
         scale = shape.list_of_numbers("scale")
         if len(scale) not in (0, 1, 3):
             raise shape.fail(f"has {len(scale)} scale factors", "give one or three")
-        try:
-            mesh = meshes.read(shape.text("filename"), np.ones(3) if len(scale) == 0 else np.ones(3) * scale)
-        except MissingMesh as cause:
-            notes.append(f"{place.place}: the mesh {cause}")
-            return None
+        mesh = meshes.read(shape.text("filename"), np.ones(3) if len(scale) == 0 else np.ones(3) * scale)
         return placed(mesh, R_LG, p_LG)
     if kind == "box":
         return Box(_positive(shape, shape.numbers("size", 3)), p_LG, R_LG)

@@ -7,8 +7,8 @@ from xml.parsers import expat
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Array
 
 MAX_BYTES = 20_000_000
 MAX_ELEMENTS = 200_000

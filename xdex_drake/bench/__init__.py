@@ -1,0 +1,1 @@
+"""Stopwatches: how long each stage takes."""

@@ -1,0 +1,1 @@
+"""The models: one file a model, built from the layers."""

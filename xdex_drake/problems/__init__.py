@@ -1,0 +1,1 @@
+"""Problem files: what they say, and how they are solved."""
