@@ -2,41 +2,14 @@
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 
-from xdex_drake.contact.certificate import contact_geometry
+from tests.contact.elastic import HANDS, balanced, some_grasp, stiffness_of
 from xdex_drake.contact.cones import contact_frames
+from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.stiffness import FLATTEST, GraspStiffness, grasp_stiffness, response, tip_curvatures
-from xdex_drake.contact.wrench import gravity_wrench
 from xdex_drake.hand.kinematics import Configuration, rotation_about
 from xdex_drake.hand.library import load_hand
-
-HANDS = ("allegro", "inspire", "schunk_svh")
-
-
-def some_grasp(name: str, nc: int = 4, seed: int = 0) -> tuple[Configuration, np.ndarray, np.ndarray, np.ndarray]:
-    """A hand at its rest posture with contacts on its fingertips: configuration, links, points and normals in W."""
-    hand, rng = load_hand(name), np.random.default_rng(seed)
-    X_WH = RigidTransform(RollPitchYaw(rng.uniform(-1, 1, 3)), rng.uniform(-0.1, 0.1, 3))
-    k = Configuration.at(hand, X_WH, hand.q_rest + 0.1)
-    fingers = hand.fingers[:nc]
-    links = np.array([hand.link_index[finger.tip_link] for finger in fingers])
-    p_WCs = k.points(links, np.array([finger.p_LTip for finger in fingers]))
-    n_WCs = p_WCs.mean(axis=0) - p_WCs
-    return k, links, p_WCs, n_WCs / np.linalg.norm(n_WCs, axis=1, keepdims=True)
-
-
-def stiffness_of(k, links, p_WCs, n_WCs, p_WOcm, radius=8e-3) -> GraspStiffness:
-    R_WCs = contact_frames(n_WCs)
-    round_tips = (np.eye(3) - n_WCs[:, :, None] * n_WCs[:, None, :]) / radius
-    return grasp_stiffness(k, links, p_WCs, R_WCs, p_WOcm, kp=1.0, tip_curvatures=round_tips)
-
-
-def balanced(stiffness: GraspStiffness, mass: float = 0.1) -> np.ndarray:
-    """Forces that balance gravity, large ones within."""
-    G, n = stiffness.G, stiffness.G.shape[1]
-    f = np.tile([0.0, 0.0, 2.0], n // 3)
-    return f - np.linalg.pinv(G) @ (G @ f + gravity_wrench(mass))
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -197,6 +170,6 @@ def test_tips_are_as_round_as_their_shapes():
 
 def test_frames_are_those_of_certificates():
     k, links, p_WCs, n_WCs = some_grasp("allegro")
-    R_WCs, G = contact_geometry(p_WCs, n_WCs, np.eye(3), p_WCs.mean(axis=0))
+    held = HeldObject(0.1, 0.05, p_WCs.mean(axis=0), 0.6, np.eye(3))
     stiffness = stiffness_of(k, links, p_WCs, n_WCs, p_WCs.mean(axis=0))
-    assert np.allclose(G, stiffness.G) and np.allclose(R_WCs, stiffness.R_WCs)
+    assert np.allclose(held.grasp_map(p_WCs, n_WCs).G, stiffness.G)

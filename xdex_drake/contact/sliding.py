@@ -1,6 +1,6 @@
 """What pushes do to an object held by constant targets, contacts sliding where they must.
 
-The law of `contact.stiffness` ends where the first contact slides, and most grasps hold beyond: forces move to the other
+The law of `contact.stiffness` ends where the first contact slides, and most grasps hold beyond: forces move to other
 contacts, or the object turns a little and stops. Here the grasp is stepped through each push, with its stiffness H(f0)
 and its contact points and normals as they are at rest. A step of length h minimises
 
@@ -9,7 +9,7 @@ and its contact points and normals as they are at rest. A step of length h minim
 M being the object's inertia and D the joints' damping; contacts are springs C_s along their normals that do not pull
 (phi_n), and along their tangents they have Coulomb's friction with the normal force of the step before, as in Drake's
 `lagged` approximation (Castro et al., 2023). That is a small convex program a step. It is solved by weighted least
-squares: |e_t'| is replaced by its majoriser at the last iterate, which is a damper mu f_n / sqrt(|e_t'|^2 + creep^2), and
+squares: |e_t'| is replaced by its majoriser at the last iterate, a damper mu f_n / sqrt(|e_t'|^2 + creep^2), so that
 every iterate lowers the cost. All pushes are stepped at once.
 
 Reference:
@@ -19,11 +19,10 @@ Reference:
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.stiffness import GraspStiffness
-
-Array = NDArray[np.float64]
 
 JOINT_INERTIA = 2e-5
 """Inertia of a joint with what it carries [kg m^2]: far below what the damping of a step amounts to."""
@@ -129,7 +128,7 @@ def pushed_motion(
         lost = ~(np.abs(z).max(axis=1) < LOST)  # true of what is not a number, too
         shift = np.maximum(shift, np.where(lost, LOST, np.linalg.norm(z[:, m + 3 :], axis=1)))
         turn = np.maximum(turn, np.where(lost, LOST, np.linalg.norm(z[:, m : m + 3], axis=1)))
-        z[lost], v[lost], normal[lost] = 0.0, 0.0, 0.0
+        z[lost], v[lost], normal[lost], slid[lost] = 0.0, 0.0, 0.0, 0.0
     forces = np.concatenate([c[:, :, None] * slid, normal[:, :, None]], axis=2)
     return PushedMotion(np.minimum(shift, LOST), np.minimum(turn, LOST), forces)
 

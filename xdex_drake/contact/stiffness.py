@@ -42,12 +42,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xdex_drake.contact.cones import cross_matrices, grasp_matrix
-from xdex_drake.contact.primitives import signed_distance
-from xdex_drake.hand.description import Capsule, Geometry, Hand, Sphere
+from xdex_drake.arrays import Array, skew
+from xdex_drake.contact.cones import grasp_matrix
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
-
-Array = NDArray[np.float64]
+from xdex_drake.hand.shapes import Capsule, Geometry, Sphere
 
 NORMAL_COMPLIANCE = 2e-5
 """Compliance of a contact along its normal [m/N]: two surfaces of 1e5 N/m in series, as the lifts have them."""
@@ -148,7 +147,7 @@ def response(stiffness: GraspStiffness, f: ArrayLike, wrenches: ArrayLike) -> Re
     z = np.linalg.solve(stiffness.hessian(f), loads)
     df = (stiffness.J @ z[:m] - stiffness.G.T @ z[m:]) / stiffness.compliance[:, None]
     f_Ws = np.einsum("cab,cb->ca", stiffness.R_WCs, f.reshape(-1, 3))
-    turns = np.einsum("cab,cbz->caz", cross_matrices(f_Ws), stiffness.turning)  # f x turn: minus the turn of f's frame
+    turns = np.einsum("cab,cbz->caz", skew(f_Ws), stiffness.turning)  # f x turn: minus the turn of f's frame
     df += np.einsum("cba,cbz->caz", stiffness.R_WCs, turns).reshape(len(f), -1) @ z
     return Response(z[:m], z[m:], df)
 
@@ -199,7 +198,7 @@ def grasp_stiffness(
     phi = np.concatenate([k.angular_jacobian(links)[:, :, 6:][:, :, joints], np.zeros((nc, 3, 6))], axis=2)
     phi[:, :, m : m + 3] = -np.eye(3)
     S = _wander(tip_curvatures + flat, R_WCs[:, :, 2])
-    units = cross_matrices(np.swapaxes(R_WCs, 1, 2))  # [f]x of a unit of each force, (nc, 3 forces, 3, 3)
+    units = skew(np.swapaxes(R_WCs, 1, 2))  # [f]x of a unit of each force, (nc, 3 forces, 3, 3)
     rolling = -units @ S[:, None]
     rolling = 0.5 * (rolling + np.swapaxes(rolling, -1, -2))
     geometric = (np.swapaxes(phi, 1, 2)[:, None] @ rolling @ phi[:, None]).reshape(3 * nc, m + 6, m + 6)
@@ -213,7 +212,7 @@ def grasp_stiffness(
     turning[:, :, m : m + 3] += np.eye(3)
     if object_curvatures is not None:
         # d n = -kappa_o S phi, a turn by n x d n.
-        turning -= cross_matrices(R_WCs[:, :, 2]) @ flat @ S @ phi
+        turning -= skew(R_WCs[:, :, 2]) @ flat @ S @ phi
     return GraspStiffness(
         G=grasp_matrix(p_WCs, R_WCs, p_WOcm),
         J=J,
@@ -232,7 +231,7 @@ def _wander(curvatures: Array, n_WCs: Array) -> Array:
     values, vectors = np.linalg.eigh(curvatures + 1e9 * n_WCs[:, :, None] * n_WCs[:, None, :])
     radii = 1.0 / np.maximum(values, 1.0 / FLATTEST)
     radii[:, 2] = 0.0  # along the normal nothing wanders
-    return (vectors * radii[:, None, :]) @ np.swapaxes(vectors, 1, 2) @ cross_matrices(n_WCs)
+    return (vectors * radii[:, None, :]) @ np.swapaxes(vectors, 1, 2) @ skew(n_WCs)
 
 
 def stops(hand: Hand, q: Array, tolerance: float = 2e-3) -> NDArray[np.int64]:
@@ -270,7 +269,7 @@ def tip_curvatures(hand: Hand, k: Configuration, links: NDArray[np.int64], p_WCs
     for i, link in enumerate(links.tolist()):
         shapes, R_WL = hand.links[link].geometry, k.R_WLs[link]
         p_LC = (p_WCs[i] - k.p_WLs[link]) @ R_WL
-        nearest = min(shapes, key=lambda shape: abs(float(signed_distance(shape, p_LC))), default=None)
+        nearest = min(shapes, key=lambda shape: abs(float(shape.signed_distance(p_LC))), default=None)
         if nearest is not None:
             tangent = np.eye(3) - np.outer(n_WCs[i], n_WCs[i])
             curvatures[i] = tangent @ R_WL @ _curvature(nearest, p_LC) @ R_WL.T @ tangent

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames
-from xdex_drake.scene.object import Array, ObjectModel
+from xdex_drake.scene.object import ObjectModel
 
 RADIUS = 3e-3
 """Radius of a patch [m]: what a fingertip may touch where contact is a millimetre or two off."""
