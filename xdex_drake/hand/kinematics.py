@@ -224,6 +224,27 @@ class Configuration:
         J = (self._twists[3:] - skew(p_WPs) @ self._twists[:3]) * tree.moves[links][:, None, :]
         return J if tree.joining is None else J @ tree.joining
 
+    def jacobian_slopes(self, links: NDArray[np.int64], p_WPs: Array) -> Array:
+        """Second derivatives of points fixed to links with respect to the actuated joints, the wrist being held.
+
+        Turning joint i carries all that hangs on it, the motion J_j of a joint j further out included, so that
+        d J_j / d q_i = axis_i x J_j; derivatives do not depend on their order, which gives the other half.
+
+        Args:
+            links: Index of each point's link, shape (m,).
+            p_WPs: The points in W [m], shape (m, 3).
+
+        Returns:
+            Derivatives, shape (m, 3, n, n), symmetric in the last two axes.
+        """
+        tree = _tree(self.hand)
+        axes, moves = self._twists[:3, 6:], tree.moves[links][:, None, 6:]
+        J = (self._twists[3:, 6:] - skew(p_WPs) @ axes) * moves
+        carried = np.einsum("abi,mbj->maij", skew(axes.T).transpose(1, 2, 0), J) * moves[..., None]
+        outward = np.triu(carried)  # a joint comes before those further out
+        slopes = outward + np.swapaxes(np.triu(carried, 1), -1, -2)
+        return slopes if tree.joining is None else tree.joining[6:, 6:].T @ slopes @ tree.joining[6:, 6:]
+
     @cached_property
     def _twists(self) -> Array:
         """Twists (angular velocity, velocity at the origin of W) of (w_WH, v_WH, qdot_full), shape (6, 6 + n_joints).
