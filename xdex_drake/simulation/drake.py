@@ -20,7 +20,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from xdex_drake.arrays import Array
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.scene.plant import ScenePlant, build_plant
+from xdex_drake.scene.plant import ScenePlant, build_plant, simulator_of
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
 from xdex_drake.simulation.shared import shared
@@ -162,7 +162,7 @@ def lift_rig(
             extend(builder, plant, scene_graph)
 
     bench = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=add_sources)
-    return LiftRig(protocol, bench, Simulator(bench.diagram), *sources)
+    return LiftRig(protocol, bench, simulator_of(bench, protocol.plant), *sources)
 
 
 def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
@@ -236,7 +236,8 @@ def _play_targets(rig: LiftRig, grasp: Grasp) -> None:
     protocol, step = rig.protocol, rig.protocol.plant.time_step
     spans = [protocol.close_s, protocol.squeeze_s, protocol.rise_s]
     # The controller is implicit: a step aims at the targets of its end, so that they are played one step early.
-    breaks = np.concatenate([[0.0], np.cumsum(spans)]) - step
+    early = step if protocol.plant.accuracy is None else 0.0
+    breaks = np.concatenate([[0.0], np.cumsum(spans)]) - early
     q_squeezed = squeezed(grasp, protocol)
     q = np.column_stack([grasp.q_pregrasp, grasp.q, q_squeezed, q_squeezed])
     back, top = retreat(grasp), np.array([0.0, 0.0, protocol.rise_m])
@@ -249,7 +250,7 @@ def _play_targets(rig: LiftRig, grasp: Grasp) -> None:
     offset = np.column_stack([targets(grasp, protocol, t)[1] for t in times])
     rates = np.where(times < protocol.close_s, np.gradient(offset, step, axis=1), 0.0)
     samples = np.concatenate([offset, rates])
-    rig.carriage_source.UpdateTrajectory(PiecewisePolynomial.FirstOrderHold(times - step, samples))
+    rig.carriage_source.UpdateTrajectory(PiecewisePolynomial.FirstOrderHold(times - early, samples))
 
 
 def _trajectory(breaks: Array, samples: Array, shape: str) -> PiecewisePolynomial:
