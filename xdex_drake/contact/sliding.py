@@ -116,6 +116,7 @@ def pushed_motion(
         load = z @ inert + v @ still + rest
         load[:, m:] += min(1.0, step * h / settings.ramp_s) * W
         was, limit, z_0 = (z @ Et.T).reshape(k, nc, 2), mus * normal, z
+        pressing = f0[:, 2] + spring * (z @ En.T)
         for _ in range(settings.iterations):
             left = fixed + ((c / h) @ dampers + touching @ springs).reshape(k, n, n)
             right = load + ((c / h)[:, :, None] * was).reshape(k, -1) @ Et - (touching * f0[:, 2]) @ En

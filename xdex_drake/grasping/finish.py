@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from xdex_drake.arrays import Array
-from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.certificate import certify, with_forces
 from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
@@ -17,10 +17,11 @@ from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
+from xdex_drake.grasping.passive import holding_squeeze
 from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.grasping.reasons import Reason, Rejection
-from xdex_drake.grasping.squeeze import squeeze
+from xdex_drake.grasping.squeeze import squeeze, squeezed
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
@@ -44,11 +45,14 @@ class Demands:
             in turn.
         task_margin: Least task margin of three or more contacts. (Pinches have little or none.)
         penetration_m: Deepest penetration, against the parts [m].
+        foretold: Greatest motion under pushes that is foretold, as a logarithm: above zero the object leaves the bounds
+            of the protocol `hold`; see `passive.foretold_motion`.
     """
 
     squeezes: tuple[tuple[float, float], ...] = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
     task_margin: float = 0.0
     penetration_m: float = 1e-3
+    foretold: float = float("inf")
 
 
 GIVEN = Demands()
@@ -177,7 +181,42 @@ def prepared(
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp))
+    return held_firmly(hand, scene, k, grasp, protocol=protocol, demands=demands)
+
+
+def held_firmly(
+    hand: Hand, scene: Scene, k: Configuration, grasp: Grasp, *, protocol: LiftProtocol, demands: Demands
+) -> Outcome:
+    """Squeezes a grasp for all pushes at once, and asks whether it is foretold to hold.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        k: The grasp's configuration.
+        grasp: A grasp with a certificate.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The grasp with the forces of its squeeze in its certificate, or the reason why there is none. Where no squeeze
+        for all pushes is found and the demands do not ask for one, the certificate's own forces are applied.
+    """
+    assert grasp.certificate is not None
+    kp = protocol.plant.kp
+    holding = holding_squeeze(hand, k, scene, grasp.certificate, kp=kp)
+    if holding.foretold > demands.foretold:
+        return Outcome(None, Rejection(Reason.HOLD))
+    found = holding.squeeze
+    if found.status != "solved":
+        return Outcome(squeeze(hand, grasp, scene, kp))
+    grasp = replace(
+        grasp,
+        certificate=with_forces(grasp.certificate, found.f),
+        squeeze_margin=found.elastic_margin,
+        stiffness_least=found.object_eigenvalue,
+        foretold_motion=holding.foretold,
+    )
+    return Outcome(squeezed(hand, grasp, found.torques, kp))
 
 
 def polish(
