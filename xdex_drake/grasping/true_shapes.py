@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xdex_drake.contact.penetration import hand_depths
 from xdex_drake.hand.description import Array, Hand
@@ -77,7 +78,7 @@ def touch(hand: Hand, point: Point) -> Touches:
             break
         # A link that moves along `away` comes nearer: d gap = -away . J dx.
         rows = k.pull_back_each(links, p_WCs, away) * scale
-        step = scale * np.linalg.lstsq(rows, gaps, rcond=1e-6)[0]
+        step = scale * np.asarray(np.linalg.lstsq(rows, gaps, rcond=1e-6)[0], dtype=np.float64)
         k = k.moved(step)
         k = Configuration.at(hand, k.X_WH, np.clip(k.q, *hand.limits))
     p_WCs, gaps, away = nearest_points(hand, k, scene, links, p_WCs)
@@ -88,7 +89,7 @@ def touch(hand: Hand, point: Point) -> Touches:
 
 
 def nearest_points(
-    hand: Hand, k: Configuration, scene: Scene, links: Array, p_WCs: Array
+    hand: Hand, k: Configuration, scene: Scene, links: NDArray[np.int64], p_WCs: Array
 ) -> tuple[Array, Array, Array]:
     """Points of the mesh that are nearest to links, by projections to and fro.
 
@@ -170,7 +171,7 @@ def clear(hand: Hand, k: Configuration, points_W: Array, gap: float) -> bool:
     return not hand_depths(hand, k.R_WLs, k.p_WLs, points_W, reach=gap).any()
 
 
-def _link_distances(hand: Hand, k: Configuration, links: Array, p_Ws: Array) -> tuple[Array, Array]:
+def _link_distances(hand: Hand, k: Configuration, links: NDArray[np.int64], p_Ws: Array) -> tuple[Array, Array]:
     """Distance of each point from its link's shapes [m], and the unit direction in W in which it grows."""
     h = 1e-6
     stencil = np.concatenate([np.zeros((1, 3)), h * np.eye(3), -h * np.eye(3)])
