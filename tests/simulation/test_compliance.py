@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from xdex_drake.simulation.lift import LiftRig, lift_rig, simulate_lift
 
 import xdex_drake.hand.plant as hand_plant
 from xdex_drake.contact.stiffness import response
@@ -17,6 +16,7 @@ from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
+from xdex_drake.simulation.drake import LiftRig, lift_rig, simulate_lift
 
 PUSH = 0.2
 """Force of a push [m g]: nothing slides."""

@@ -22,6 +22,7 @@ from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.grasping.squeeze import squeeze, squeezed
+from xdex_drake.grasping.true_shapes import clear, lowest_height, touch
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
@@ -33,7 +34,10 @@ from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 SURFACE_POINTS = 4096
-"""Points of the object's surface at which penetration is measured."""
+"""Points of the object's surface, of parts and of mesh each, at which penetration and clearance are measured."""
+
+PREGRASP_GAP = 1e-3
+"""Least gap between the hand's shapes at the pre-grasp and these points [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +48,20 @@ class Demands:
         squeezes: Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try
             in turn.
         task_margin: Least task margin of three or more contacts. (Pinches have little or none.)
-        penetration_m: Deepest penetration, against the parts [m].
+        touch_m: Greatest gap between the hand's shapes and the mesh at a contact [m].
+        smoothing_m: Greatest distance of parts and mesh at a contact [m].
+        penetration_m: Deepest penetration, against parts and mesh alike [m].
+        table_m: Least height of the hand's shapes above the table, at grasp and pre-grasp [m].
         foretold: Greatest motion under pushes that is foretold, as a logarithm: above zero the object leaves the bounds
             of the protocol `hold`; see `passive.foretold_motion`.
     """
 
     squeezes: tuple[tuple[float, float], ...] = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
     task_margin: float = 0.0
-    penetration_m: float = 1e-3
+    touch_m: float = 3e-4
+    smoothing_m: float = 5e-4
+    penetration_m: float = 5e-4
+    table_m: float = 2e-4
     foretold: float = float("inf")
 
 
@@ -118,11 +128,13 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     Returns:
         The grasp, or the reason why there is none.
     """
-    scene, k = point.scene, point.k
-    R_OW = scene.X_WO.rotation().matrix().T
-    p_WCs, n_WCs = point.exact_contacts()
-    p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
-    n_OCs = n_WCs @ R_OW.T
+    scene, touches = point.scene, touch(hand, point)
+    if np.abs(touches.gaps).max(initial=0.0) > demands.touch_m:
+        return Outcome(None, Rejection(Reason.TOUCH))
+    if touches.smoothing.max(initial=0.0) > demands.smoothing_m:
+        return Outcome(None, Rejection(Reason.SURFACE))
+    k, p_WCs, R_WO = touches.k, touches.p_WCs, scene.X_WO.rotation().matrix()
+    p_OCs, n_OCs = (p_WCs - scene.X_WO.translation()) @ R_WO, touches.n_WCs @ R_WO
     links = [hand.links[link].name for link in point.contacts.links]
     held = HeldObject.of(scene)
     J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
@@ -139,10 +151,10 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         return Outcome(None, Rejection(Reason.TASK_MARGIN))
     rested = rest_idle_fingers(hand, scene, k, links)
     outcome = prepared(hand, scene, rested, result.certificate, protocol=protocol, demands=demands)
-    if outcome.grasp is None and rested is not k:
-        # Idle fingers near the object may bar the way to it: then they stay as they were.
-        return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
-    return outcome
+    if outcome.reason is None or outcome.reason.reason is Reason.HOLD or rested is k:
+        return outcome
+    # Idle fingers near the object may bar the way to it: then they stay as they were.
+    return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
 
 
 def prepared(
@@ -162,11 +174,16 @@ def prepared(
         The grasp, or the reason why there is none.
     """
     depth_parts, depth_mesh = penetrations(hand, k, scene)
-    if depth_parts > demands.penetration_m:
+    if max(depth_parts, depth_mesh) > demands.penetration_m:
         return Outcome(None, Rejection(Reason.PENETRATION))
+    if lowest_height(hand, k) < demands.table_m:
+        return Outcome(None, Rejection(Reason.CONSTRAINT, "table"))
     opened = pregrasp(hand, scene, k.X_WH, k.q)
-    if opened.clearance < 1e-3:
+    open_k, surface = Configuration.at(hand, opened.X_WH, opened.q), np.concatenate(_surface_points(scene.object))
+    if not clear(hand, open_k, (scene.X_WO @ surface.T).T, PREGRASP_GAP):
         return Outcome(None, Rejection(Reason.PREGRASP))
+    if lowest_height(hand, open_k) < demands.table_m:
+        return Outcome(None, Rejection(Reason.PREGRASP, "table"))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
         return Outcome(None, Rejection(Reason.APPROACH))
     grasp = Grasp(

@@ -12,6 +12,8 @@ class Reason(StrEnum):
     """The step at which a candidate is given up."""
 
     CONSTRAINT = "constraint"
+    TOUCH = "touch"
+    SURFACE = "surface"
     CERTIFICATE = "certificate"
     TASK_MARGIN = "task margin"
     PENETRATION = "penetration"
@@ -21,6 +23,8 @@ class Reason(StrEnum):
 
 
 WORDS = {
+    Reason.TOUCH: "the hand's shapes do not touch the object where the spheres that stand for them do",
+    Reason.SURFACE: "the object's convex parts differ from its mesh at a contact",
     Reason.CERTIFICATE: "the contacts do not hold the object within friction and the motors' efforts",
     Reason.TASK_MARGIN: "the contacts hold the object, but do not resist a push of its own weight",
     Reason.PENETRATION: "the hand is more than the allowed depth inside the object",
