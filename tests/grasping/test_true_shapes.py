@@ -82,7 +82,7 @@ def test_height_and_clearance_are_those_of_shapes(hand):
     k = Configuration.at(hand, RigidTransform([0.0, 0.0, 0.3]), hand.q_rest)
     corners = np.concatenate(
         [
-            geometry.sample(3000, np.random.default_rng(0)) @ R.T + p
+            geometry.sample(3000, np.random.default_rng(0))[0] @ R.T + p
             for link, R, p in zip(hand.links, k.R_WLs, k.p_WLs, strict=True)
             for geometry in link.geometry
         ]
