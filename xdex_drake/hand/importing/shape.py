@@ -393,7 +393,9 @@ def _corners(shape: FileGeometry) -> Array:
         signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
         return shape.p_LG + (signs * shape.size) @ shape.R_LG.T
     if isinstance(shape, TriangleMesh):
-        return shape.vertices[np.unique(shape.faces)] if len(shape.faces) else np.zeros((0, 3))
+        used = np.zeros(len(shape.vertices), dtype=bool)
+        used[shape.faces.ravel()] = True
+        return shape.vertices[used]
     d = shape.p1 - shape.p0
     u = d / max(float(np.linalg.norm(d)), 1e-12)
     across = np.linalg.svd(u[None])[2][1:]
