@@ -27,7 +27,7 @@ BLUNT = 0.12
 PHALANX = 0.5
 """A step from joint to joint that is shorter than this share of the finger's longest is a hub, no phalanx."""
 
-STRAIGHTER = 0.03
+STRAIGHTER = 0.015
 """A finger that is straighter when open, by this share of its length, is drawn half bent at zero."""
 
 STRAY = np.deg2rad(40.0)
