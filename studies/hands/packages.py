@@ -65,8 +65,8 @@ HANDS = (
     Expected("example-robot-data", f"{DATA}/alex_description/urdf/alex_sake_hands.urdf", -Z, Y, 2, "right", jaws=True),
     Expected("mani-skill", "mani_skill/assets/robots/fetch/fetch.urdf", X, Y, 2, jaws=True),
 )
-"""Written after the files of robosuite, orca and egk40 had been tried; claws, bars and fingers drawn half bent were mended
-on jaco, robotiq_s, robotiq_140 and f5d6. Left out: files that hold no finger or no shape (ur5_gripper, egk40)."""
+"""Written after the files of robosuite, orca and egk40 had been tried; claws, bars and fingers drawn half bent were
+mended on jaco, robotiq_s, robotiq_140 and f5d6. Files without a finger or a shape are left out."""
 
 
 def fetched(package: str, folder: Path) -> Path:
