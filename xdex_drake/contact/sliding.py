@@ -46,10 +46,10 @@ class PushSettings:
 
     ramp_s: float = 0.1
     duration_s: float = 0.5
-    step_s: float = 0.0125
+    step_s: float = 0.025
     damping: float = 0.11
     creep: float = 1e-3
-    iterations: int = 6
+    iterations: int = 3
 
 
 PUSH = PushSettings()
