@@ -63,6 +63,7 @@ def test_a_simulated_grasp_is_as_compliant_as_its_stiffness_says(rig):
     length = np.array([scene.object.length] * 3 + [1.0] * 3)
     loaded, unloaded = [], []
     for grasp in candidates_of_batch(hand, scene, seed=0, settings=settings, tally=Tally()):
+        assert grasp.certificate is not None
         elastic = elastic_grasp(hand, Configuration.at(hand, grasp.X_WH, grasp.q), scene, grasp.certificate, 1.0)
         f = np.array([contact.f_C for contact in grasp.certificate.contacts]).ravel()
         K_x = elastic.stiffness.object_stiffness(f) / np.outer(length, length)
