@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from xdex_drake.jobs.processes import UnitResult
 
 
+LISTED = 40
+"""Hands and objects of a data set that are listed."""
+
+
 @dataclass(frozen=True)
 class DatasetGenerate:
     """Makes a paired data set: grasps of a source hand, and the same grasps by other hands.
@@ -36,12 +40,14 @@ class DatasetGenerate:
         config: A YAML file; what it leaves out keeps its default.
         out: Folder of the data set.
         workers: Number of processes.
+        shard: Make only a part of the units, 2/8 for the second of eight; parts may run at once.
         print_config: Print the resolved configuration and do nothing.
     """
 
     config: tyro.conf.Positional[Path | None] = None
     out: Path = Path("dataset")
     workers: int = 2
+    shard: str | None = None
     print_config: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> int:
@@ -49,7 +55,7 @@ class DatasetGenerate:
         one_thread()
         from xdex_drake.dataset.folder import completed_units
         from xdex_drake.errors import ConfigError
-        from xdex_drake.jobs.pairs import DatasetConfig, generate, plan
+        from xdex_drake.jobs.pairs import DatasetConfig, generate, part_of, plan
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
@@ -59,7 +65,8 @@ class DatasetGenerate:
             raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
         if self.workers < 0:
             raise ConfigError(f"--workers is {self.workers}; give 0 or more")
-        units = plan(config)
+        shard = None if self.shard is None else _part(self.shard)
+        units = part_of(plan(config), shard)
         check_writable(self.out / "manifest.json")
         missing = len({unit.name for unit in units} - completed_units(self.out))
         with keeping_finished_work() as interruption, progress(missing, "units") as bar:
@@ -68,7 +75,7 @@ class DatasetGenerate:
                 bar.set_postfix_str(done.unit.name, refresh=False)
                 bar.update()
 
-            generate(config, self.out, workers=self.workers, on_done=tell)
+            generate(config, self.out, workers=self.workers, shard=shard, on_done=tell)
         if not (self.out / "manifest.json").exists():
             return interruption.status(1)
         rows = _print_info(self.out)
@@ -226,6 +233,16 @@ class Train:
         return 130 if report.stopped == "interrupted" else 0
 
 
+def _part(text: str) -> tuple[int, int]:
+    """The two numbers of `2/8`."""
+    from xdex_drake.errors import ConfigError
+
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdecimal() and count.isdecimal()):
+        raise ConfigError(f"--shard is {text!r}; give the part and how many there are, like 2/8")
+    return int(number), int(count)
+
+
 def _print_yaml(config: object) -> int:
     """Prints a configuration as YAML, ready to be changed."""
     import yaml
@@ -258,7 +275,9 @@ def _print_info(folder: Path) -> int:
     for title, groups in (("hand", summary.by_hand), ("object", summary.by_object)):
         rows = [(name, c.rows, c.successes, f"{100.0 * c.successes / c.rows:.0f} %") for name, c in groups.items()]
         if rows:
-            print("\n" + table(rows, (title, "grasps", "lifted", "rate")))
+            print("\n" + table(rows[:LISTED], (title, "grasps", "lifted", "rate")))
+        if len(rows) > LISTED:
+            print(f"... and {len(rows) - LISTED} more")
     if summary.failures:
         print("\n" + table(sorted(summary.failures.items()), ("failed unit", "reason")))
     return summary.rows
