@@ -66,10 +66,10 @@ def test_ranges_that_mean_nothing_are_refused(entry):
         expand_names([entry], "hands")
 
 
-def test_hands_are_drawn_by_seed_and_units_of_a_scene_follow_each_other():
+def test_hands_are_drawn_by_seed_and_every_round_covers_every_scene():
     units = plan(MANY)
     assert units == plan(MANY) and units != plan(replace(MANY, seed=1))
-    assert [unit.object for unit in units] == [f"s0-000{k}" for k in range(3) for _ in range(4)]
+    assert [unit.object for unit in units] == [f"s0-000{k}" for _ in range(4) for k in range(3)]
     assert len({unit.name for unit in units}) == len({unit.seed for unit in units}) == 12
     for unit in units:
         assert len(set(unit.targets)) == 6 and unit.source not in unit.targets

@@ -141,7 +141,7 @@ class UnitRows:
 
 
 def plan(config: DatasetConfig) -> tuple[PairUnit, ...]:
-    """The units of a data set, in order; those of one scene follow each other.
+    """The units of a data set, in order: a first source hand on every scene, then a second one, and so on.
 
     Args:
         config: The configuration.
@@ -163,21 +163,23 @@ def plan(config: DatasetConfig) -> tuple[PairUnit, ...]:
     hands, sources, objects = population(config)
     # One stream of random numbers for each choice, so that a change of one number leaves the other choices alone.
     scales = np.random.default_rng([config.seed, 1]).uniform(*config.scale, size=len(objects)).round(2)
-    units = []
+    rounds = min(config.units_per_scene or len(sources), len(sources))
+    units: list[list[PairUnit]] = [[] for _ in range(rounds)]
     for o, obj in enumerate(objects):
         for scene in range(config.scenes_per_object):
-            drawn = np.random.default_rng([config.seed, 2, o, scene])
-            count = min(config.units_per_scene or len(sources), len(sources))
-            rows = range(len(sources)) if count == len(sources) else drawn.choice(len(sources), count, replace=False)
-            for s in rows:
+            rng = np.random.default_rng([config.seed, 2, o, scene])
+            for turn, s in enumerate(_drawn(len(sources), rounds, rng)):
                 others = [hand for hand in hands if hand != sources[s]]
-                few = min(config.targets or len(others), len(others))
-                chosen = range(len(others)) if few == len(others) else drawn.choice(len(others), few, replace=False)
+                targets = tuple(others[k] for k in _drawn(len(others), config.targets or len(others), rng))
                 name = f"{Path(obj).stem}-{scene}-{Path(sources[s]).stem}"
-                seed = int(np.random.SeedSequence([config.seed, 3, o, scene, int(s)]).generate_state(1)[0])
-                targets = tuple(others[k] for k in chosen)
-                units.append(PairUnit(name, sources[s], targets, obj, float(scales[o]), scene, seed))
-    return tuple(units)
+                seed = int(np.random.SeedSequence([config.seed, 3, o, scene, s]).generate_state(1)[0])
+                units[turn].append(PairUnit(name, sources[s], targets, obj, float(scales[o]), scene, seed))
+    return tuple(unit for turn in units for unit in turn)
+
+
+def _drawn(size: int, count: int, rng: np.random.Generator) -> list[int]:
+    """Some of the numbers below `size`, in the order in which they are drawn; all of them as they stand."""
+    return list(range(size)) if count >= size else rng.choice(size, count, replace=False).tolist()
 
 
 def population(config: DatasetConfig) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
@@ -209,7 +211,7 @@ def population(config: DatasetConfig) -> tuple[tuple[str, ...], tuple[str, ...],
 
 @lru_cache(maxsize=2)
 def scene_of_unit(obj: str, scale: float, index: int, mass: float, seed: int) -> Scene:
-    """The scene of a unit; the last ones are kept, as units of one scene follow each other.
+    """The scene of a unit; the last ones are kept.
 
     Args:
         obj: Name or path of the object.
