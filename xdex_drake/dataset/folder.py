@@ -173,14 +173,16 @@ def iter_rejected(folder: str | Path) -> Iterator[tuple[str, tuple[Rejected, ...
     """
     read_manifest(folder)
     for path in shard_paths(folder):
-        try:
-            values = json.loads(read_metadata(path).get(REJECTED, "[]"))
-            yield (
-                path.name.removesuffix(".parquet"),
-                tuple(Rejected(*(str(part) for part in entry)) for entry in values),
-            )
-        except (TypeError, ValueError) as error:
-            raise DatasetError(f"{path}: {REJECTED} of its metadata cannot be read: {error}; {REMEDY}") from error
+        yield path.name.removesuffix(".parquet"), read_rejected(path)
+
+
+def read_rejected(path: str | Path) -> tuple[Rejected, ...]:
+    """What the unit of a shard tried without finding a grasp; see `iter_rejected`."""
+    text = read_metadata(path).get(REJECTED, "[]")
+    try:
+        return tuple(Rejected(*(str(part) for part in entry)) for entry in json.loads(text))
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: {REJECTED} of its metadata cannot be read: {error}; {REMEDY}") from error
 
 
 def write_failure(folder: str | Path, unit: str, reason: str) -> None:

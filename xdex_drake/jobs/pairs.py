@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from importlib import metadata
@@ -46,6 +47,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.generation import GENERATOR, read_hand_name
 from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.jobs.compaction import compact_dataset, compact_shard, table_units
 from xdex_drake.jobs.population import expand_names
 from xdex_drake.jobs.processes import UnitResult, run_units
 from xdex_drake.jobs.workbench import hand_of, use_one_thread
@@ -385,6 +387,7 @@ def generate(
     *,
     workers: int = 2,
     shard: tuple[int, int] | None = None,
+    table: str | Path | None = None,
     timeout_s: float = 3600.0,
     on_done: Callable[[UnitResult[PairUnit, UnitRows]], None] | None = None,
 ) -> tuple[int, int]:
@@ -396,6 +399,7 @@ def generate(
         workers: Number of processes; 0 works in this one.
         shard: Which part of the units to make, (i, n) for every n-th from the i-th on, i from 1; all where None. Parts
             may run at once, on one folder or on several whose shards are then put together.
+        table: Folder of a compact table: units that it holds are not made again, and those that are made are appended.
         timeout_s: Longest wall time of a unit [s].
         on_done: Called with each unit's result after its shard is written, for progress.
 
@@ -408,7 +412,10 @@ def generate(
         GraspFileError: A shard cannot be written; those before it are whole.
     """
     units = part_of(plan(config), shard)
-    open_dataset(folder, manifest(config))
+    planned = manifest(config)
+    open_dataset(folder, planned)
+    if table is not None:
+        open_dataset(table, planned)
     counts = [0, 0]
 
     def save(result: UnitResult[PairUnit, UnitRows]) -> None:
@@ -418,12 +425,18 @@ def generate(
         else:
             entries = rejected_entry(result.value.rejected) | {COMMIT: code_version()}
             write_shard(folder, result.unit.name, result.value.rows, metadata=entries)
+            if table is not None:
+                compact_shard(folder, result.unit.name, table)
             counts[0] += 1
         if on_done is not None:
             on_done(result)
 
-    with locked(folder, shard):
-        done = completed_units(folder)
+    with ExitStack() as locks:
+        locks.enter_context(locked(folder, shard))
+        if table is not None:
+            locks.enter_context(locked(table))
+            compact_dataset(folder, table)
+        done = completed_units(folder) | (set() if table is None else table_units(table))
         missing = [unit for unit in units if unit.name not in done]
         work = partial(run_unit, config=config)
         for _ in run_units(missing, work, workers=workers, on_done=save, timeout_s=timeout_s):
