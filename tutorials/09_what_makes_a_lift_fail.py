@@ -121,4 +121,5 @@ print("failed_lift.html:", Path("failed_lift.html").stat().st_size // 1000, "kB"
 # `frogger-lift` shakes it.
 #
 # **Exercise.** Find by bisection the least friction at which this grasp lifts, and compare it with the least at which
-# the certificate can still be given (`xd.certify` with a smaller `mu`). Which of the two is smaller, and why may it be?
+# the certificate can still be given (`xd.certify` with a smaller friction of its `HeldObject`). Which of the two is
+# smaller, and why may it be?

@@ -141,6 +141,8 @@ class Grasp:
         squeeze_margin: Multiple of the pushes that constant targets resist without sliding, NaN where it is not known.
         stiffness_least: Least eigenvalue of the stiffness with which the hand holds the object, turns times `length`
             [N/m], NaN where it is not known.
+        foretold_motion: How far the object is foretold to move under pushes of its weight, as the logarithm of its
+            share of the bounds of the protocol `hold`, NaN where it is not known.
         seconds: Wall time spent on this grasp, without the lift.
     """
 
@@ -161,4 +163,5 @@ class Grasp:
     penetration_mesh_m: float = float("nan")
     squeeze_margin: float = float("nan")
     stiffness_least: float = float("nan")
+    foretold_motion: float = float("nan")
     seconds: float = 0.0

@@ -8,6 +8,7 @@ the library; `summarize` prints the tables of README.md:
     python studies/judges/run.py judge GRASPS --out studies/judges/results.csv
     python studies/judges/run.py sweep GRASPS
     python studies/judges/run.py summarize studies/judges/results.csv
+    python studies/judges/run.py quarrels GRASPS --out studies/judges/results.csv
 
 What is there already is not made again.
 """
@@ -27,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.geometry import Convex as DrakeConvex
 
 from xdex_drake.dataset.files import load_grasps, save_grasps
 from xdex_drake.errors import XdexError
@@ -38,8 +40,9 @@ from xdex_drake.grasping.synthesis import (
     settings_of_batch,
 )
 from xdex_drake.grasping.tally import Tally
-from xdex_drake.hand.description import Finger, Hand
+from xdex_drake.hand.description import Convex, Finger, Hand
 from xdex_drake.hand.library import load_hand
+from xdex_drake.hand.plant import contact_shape
 from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, hand_mjcf
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
@@ -66,12 +69,17 @@ COLUMNS = (
     "cpu_s",
 )
 SOFT = MjcfSettings(time_constant=0.02, impedance=(0.9, 0.95, 0.001), impratio=1.0)
-"""MuJoCo's own contacts, which are Euler's with pyramids besides (see `bare`)."""
+"""MuJoCo's own contacts, whose cones are pyramids besides."""
 
 
-def bare(rig: mujoco.MujocoRig) -> None:
-    """Gives a rig MuJoCo's own integrator and friction cone."""
-    rig.model.opt.integrator, rig.model.opt.cone = 0, 0
+def pyramids(rig: mujoco.MujocoRig) -> None:
+    """Gives a rig MuJoCo's own friction cones."""
+    rig.model.opt.cone = 0
+
+
+def euler(rig: mujoco.MujocoRig) -> None:
+    """Gives a rig MuJoCo's own integrator."""
+    rig.model.opt.integrator = 0
 
 
 def leave(rig: mujoco.MujocoRig) -> None:
@@ -82,8 +90,8 @@ SETTINGS: dict[str, tuple[MjcfSettings, Callable[[mujoco.MujocoRig], None]]] = {
     "mujoco": (MJCF, leave),
     "mujoco, half step": (replace(MJCF, time_step=0.5 * MJCF.time_step), leave),
     "mujoco, no armature": (replace(MJCF, armature=0.0, slide_armature=0.0), leave),
-    "mujoco, own contacts": (SOFT, bare),
-    "mujoco, own contacts, no armature": (replace(SOFT, armature=0.0, slide_armature=0.0), bare),
+    "mujoco, own contacts": (SOFT, pyramids),
+    "mujoco, own contacts, no armature": (replace(SOFT, armature=0.0, slide_armature=0.0), pyramids),
 }
 
 SWEEP: tuple[tuple[str, MjcfSettings, Callable[[mujoco.MujocoRig], None]], ...] = (
@@ -100,13 +108,21 @@ SWEEP: tuple[tuple[str, MjcfSettings, Callable[[mujoco.MujocoRig], None]], ...] 
     *((f"time constant {1e3 * one:g} ms", replace(MJCF, time_constant=one), leave) for one in (0.01, 0.02)),
     ("impedance 0.9 to 0.95", replace(MJCF, impedance=(0.9, 0.95, 0.001)), leave),
     *((f"impratio {one:g}", replace(MJCF, impratio=one), leave) for one in (1.0, 100.0)),
-    ("pyramids for cones, Euler", MJCF, bare),
-    ("all contacts as MuJoCo's own", SOFT, bare),
-    ("the same, and no armature", replace(SOFT, armature=0.0, slide_armature=0.0), bare),
+    ("pyramids for cones", MJCF, pyramids),
+    ("Euler's integrator", MJCF, euler),
+    ("Euler's integrator, no armature", replace(MJCF, armature=0.0, slide_armature=0.0), euler),
+    ("time constant, impedance and impratio as MuJoCo's own", SOFT, leave),
+    ("the same, and no armature", replace(SOFT, armature=0.0, slide_armature=0.0), leave),
+    ("cones as MuJoCo's own, too", SOFT, pyramids),
+    ("the same, and no armature", replace(SOFT, armature=0.0, slide_armature=0.0), pyramids),
 )
 
+FACTORS = (0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+"""Factors of friction at which quarrels are played again."""
+
 HALVED = ("drake, half step", "mujoco, half step")
-OTHERS = tuple(name for name in SETTINGS if name not in ("mujoco", *HALVED))
+SIMULATORS = ("drake", "drake, half step", *SETTINGS)
+OTHERS = ("mujoco, no armature", "mujoco, own contacts", "mujoco, own contacts, no armature")
 
 
 def make(folder: Path, hands: list[str], objects: list[str], count: int) -> None:
@@ -225,38 +241,104 @@ def play(case: Case, judge: str) -> tuple[Lift, float, float]:
 
 def judge(folder: Path, out: Path, count: int) -> None:
     """Lifts grasps by all judges and appends a row for each lift; objects in the order in which they were made."""
-    done = {tuple(row.values())[:3] for row in csv.DictReader(out.open())} if out.exists() else set()
+    known: dict[tuple[str, ...], bool] = {}
+    if out.exists():
+        for row in csv.DictReader(out.open()):
+            known[tuple(row[name] for name in COLUMNS[:5])] = row["success"] == "1"
     with out.open("a", newline="") as file:
         writer = csv.writer(file)
-        if not done:
+        if not known:
             writer.writerow(COLUMNS)
         for path in sorted(folder.glob("*.parquet"), key=lambda path: path.stat().st_mtime):
             for item in load_grasps(path)[:count]:
-                key = (item.hand.name, item.scene.object.name, item.grasp.grasp_id)
-                if key in done:
-                    continue
-                number = int(hashlib.sha256(item.grasp.grasp_id.encode()).hexdigest()[:8], 16)
-                promised = sum(contact.f_C[2] for contact in item.grasp.certificate.contacts)
-                for case in cases(item.grasp, item.hand, item.scene, number):
-                    for row in judged(case, promised):
-                        writer.writerow((*key, case.spoiled, *row))
-                done.add(key)
-                file.flush()
+                for case in cases(item.grasp, item.hand, item.scene, number_of(item.grasp)):
+                    key = (item.hand.name, item.scene.object.name, item.grasp.grasp_id, case.spoiled)
+                    for row in judged(case, {name: known[*key, name] for name in SIMULATORS if (*key, name) in known}):
+                        writer.writerow((*key, *row))
+                    file.flush()
 
 
-def judged(case: Case, promised: float) -> Iterator[tuple]:
-    """What each judge says of a case; half the steps are asked where Drake and MuJoCo do not agree."""
-    verdicts = {}
+def judged(case: Case, verdicts: dict[str, bool]) -> Iterator[tuple]:
+    """What each judge says of a case, whose verdict is not known yet; half the steps are asked in case of a quarrel."""
+    promised = sum(contact.f_C[2] for contact in case.grasp.certificate.contacts)
     names = ["drake", "mujoco", *(() if case.spoiled else OTHERS)]
     while names:
         name = names.pop(0)
-        begin = time.process_time()
-        lift, depth, force = play(case, name)
-        numbers = (lift.lift_height_m, 1e3 * depth, force / promised, time.process_time() - begin)
-        yield (name, int(lift.success), lift.failure_reason, *(f"{value:.4f}" for value in numbers))
-        verdicts[name] = lift.success
+        if name not in verdicts:
+            begin = time.process_time()
+            lift, depth, force = play(case, name)
+            numbers = (lift.lift_height_m, 1e3 * depth, force / promised, time.process_time() - begin)
+            yield (name, int(lift.success), lift.failure_reason, *(f"{value:.4f}" for value in numbers))
+            verdicts[name] = lift.success
         if name == "mujoco" and verdicts["drake"] != verdicts["mujoco"]:
             names += HALVED
+
+
+def quarrels(folder: Path, results: Path) -> None:
+    """Prints, for each case in which Drake and MuJoCo do not agree, what would make them agree."""
+    probes = "Drake, contacts of 1e6 N/m | MuJoCo, fingers with Drake's facets"
+    friction = "Drake lifts from friction x | MuJoCo from x"
+    print(f"| hand | object | grasp | spoiled | Drake | MuJoCo | {probes} | {friction} |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for key, judges in lifts_of(results).items():
+        if judges["drake"]["success"] == judges["mujoco"]["success"]:
+            continue
+        items = load_grasps(folder / f"{key[0]}-{key[1]}.parquet")
+        item = next(item for item in items if item.grasp.grasp_id == key[2])
+        case = next(c for c in cases(item.grasp, item.hand, item.scene, number_of(item.grasp)) if c.spoiled == key[3])
+        stiff = replace(case.protocol, plant=replace(case.protocol.plant, point_stiffness=1e6))
+        others = [replace(case, protocol=stiff), replace(case, hand=faceted(case.hand))]
+        told = [judges[name]["reason"] or "lifted" for name in ("drake", "mujoco")]
+        told += [
+            play(probe, name)[0].failure_reason or "lifted"
+            for probe, name in zip(others, ("drake", "mujoco"), strict=True)
+        ]
+        told += [least_friction(case, name) for name in ("drake", "mujoco")]
+        print(f"| {' | '.join((*key, *told))} |", flush=True)
+
+
+def faceted(hand: Hand) -> Hand:
+    """The hand with the shapes that Drake has in contact, as convex parts."""
+    links = []
+    for link in hand.links:
+        shapes = []
+        for k, shape in enumerate(link.geometry):
+            touching, X_LG = contact_shape(shape, f"{link.name}_{k}")
+            if isinstance(touching, DrakeConvex):
+                hull = touching.GetConvexHull()
+                points = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+                shapes.append(Convex((X_LG @ points.T).T))
+            else:
+                shapes.append(shape)
+        links.append(replace(link, geometry=tuple(shapes)))
+    return replace(hand, links=tuple(links))
+
+
+def least_friction(case: Case, judge: str) -> str:
+    """The least of some factors of all friction from which on a judge lifts."""
+    won = []
+    for factor in FACTORS:
+        model = case.scene.object
+        plant = replace(case.protocol.plant, friction=factor * case.protocol.plant.friction)
+        scene = with_physics(case.scene, mass=model.mass, friction=factor * model.friction)
+        won.append(play(replace(case, scene=scene, protocol=replace(case.protocol, plant=plant)), judge)[0].success)
+    failed = [k for k, one in enumerate(won) if not one]
+    if not failed:
+        return f"under {FACTORS[0]:g}"
+    return f"over {FACTORS[-1]:g}" if failed[-1] == len(FACTORS) - 1 else f"{FACTORS[failed[-1] + 1]:g}"
+
+
+def number_of(grasp: Grasp) -> int:
+    """A number that says how a grasp is spoiled."""
+    return int(hashlib.sha256(grasp.grasp_id.encode()).hexdigest()[:8], 16)
+
+
+def lifts_of(path: Path) -> dict[tuple[str, ...], dict[str, dict[str, str]]]:
+    """Rows of a file of results by grasp and by judge."""
+    lifts: dict[tuple[str, ...], dict[str, dict[str, str]]] = {}
+    for row in csv.DictReader(path.open()):
+        lifts.setdefault((row["hand"], row["object"], row["grasp"], row["spoiled"]), {})[row["simulator"]] = row
+    return {key: judges for key, judges in lifts.items() if {"drake", "mujoco"} <= set(judges)}
 
 
 def masses(hands: list[str]) -> None:
@@ -344,9 +426,7 @@ def rates(pairs: list[tuple[bool, bool]]) -> str:
 
 def summarize(path: Path) -> None:
     """Prints the tables of README.md."""
-    lifts: dict[tuple[str, ...], dict[str, dict[str, str]]] = {}
-    for row in csv.DictReader(path.open()):
-        lifts.setdefault((row["hand"], row["object"], row["grasp"], row["spoiled"]), {})[row["simulator"]] = row
+    lifts = lifts_of(path)
     both = {
         key: (judges["drake"]["success"] == "1", judges["mujoco"]["success"] == "1") for key, judges in lifts.items()
     }
@@ -369,7 +449,7 @@ def summarize(path: Path) -> None:
     )
     print("|---|---|---|---|---|---|---|")
     for judge in ("drake", "mujoco", *OTHERS):
-        rows = [(judges[judge], both[key][0]) for key, judges in lifts.items() if not key[3]]
+        rows = [(judges[judge], both[key][0]) for key, judges in lifts.items() if judge in judges and not key[3]]
         won, ours = np.array([row["success"] == "1" for row, _ in rows]), np.array([one for _, one in rows])
         held = [row for row, _ in rows if row["success"] == "1"]
         depth, force = (np.array([float(row[name]) for row in held]) for name in ("depth_mm", "force"))
@@ -393,9 +473,10 @@ def summarize(path: Path) -> None:
 def main() -> None:
     """Runs one of the steps."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", choices=("make", "judge", "sweep", "summarize"))
+    parser.add_argument("step", choices=("make", "judge", "sweep", "summarize", "quarrels"))
     parser.add_argument("path", type=Path)
     parser.add_argument("--meshes", type=Path, help="folder with index.json; shapes of the library where not given")
+    parser.add_argument("--only", nargs="+", help="names of meshes of the index, instead of its first ones")
     parser.add_argument("--hands", nargs="+", default=HANDS)
     parser.add_argument("--objects", type=int, default=24, help="how many, in the order of the index")
     parser.add_argument("--count", type=int, default=4, help="grasps of each hand and object")
@@ -405,13 +486,16 @@ def main() -> None:
         objects = list(SHAPES)
         if options.meshes is not None:
             index = json.loads((options.meshes / "index.json").read_text())["objects"]
-            objects = [str(options.meshes / entry["file"]) for entry in index]
+            chosen = [entry for entry in index if options.only is None or entry["name"] in options.only]
+            objects = [str(options.meshes / entry["file"]) for entry in chosen]
         make(options.path, options.hands, objects[: options.objects], options.count)
     elif options.step == "judge":
         judge(options.path, options.out, options.count)
     elif options.step == "sweep":
         masses(options.hands)
         sweep(options.path, list(SHAPES[:4]), options.count)
+    elif options.step == "quarrels":
+        quarrels(options.path, options.out)
     else:
         summarize(options.path)
 

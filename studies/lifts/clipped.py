@@ -1,8 +1,7 @@
 """How often does a squeeze by targets within the joint limits lift where that by torques does?
 
-python studies/lifts/clipped.py FILE.parquet ... lifts grasps of files that the library wrote, made with today's
-protocol, by `q_squeeze` alone where it was cut at a limit, and prints the verdicts beside the stored ones of
-`tau_squeeze`.
+python studies/lifts/clipped.py FILE.parquet ... lifts grasps of files that the library wrote under its first protocol,
+by `q_squeeze` alone where it was cut at a limit, and prints the verdicts beside the stored ones of `tau_squeeze`.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Do verdicts of `hold` depend on the step? Half and quarter steps, and error-controlled integration as the reference.
+"""Do verdicts of `hold` depend on the step? Half steps, and error-controlled integration.
 
 python studies/steps/run.py OUT.csv FILE.parquet ... plays grasps of files that the library wrote; with OUT.csv alone
 it prints the table of the rows again. Rows are appended, and grasps that are known are left out.
@@ -20,8 +20,8 @@ STEP = HOLD.plant.time_step
 WAYS = {
     "step": HOLD.plant,
     "half step": replace(HOLD.plant, time_step=0.5 * STEP),
-    "CENIC 1e-4": replace(HOLD.plant, accuracy=1e-4),
-    "CENIC 1e-3": replace(HOLD.plant, accuracy=1e-3, time_step=4.0 * STEP),
+    "CENIC 1e-2": replace(HOLD.plant, accuracy=1e-2),
+    "CENIC 1e-3": replace(HOLD.plant, accuracy=1e-3),
 }
 COLUMNS = ("grasp_id", "way", "lifts", "failure_reason", "holds", "hold_reason", "slip_mm", "turn_deg", "cpu_s")
 

@@ -57,7 +57,7 @@ def test_the_hessian_is_that_of_the_energy(name):
         q = k.q.copy()
         q[stiffness.joints] += z[:m]
         p_h = Configuration.at(k.hand, k.X_WH, q).points(links, p_LCs)
-        angle = np.linalg.norm(z[m : m + 3])
+        angle = float(np.linalg.norm(z[m : m + 3]))
         R = rotation_about(z[m : m + 3] / angle, angle) if angle > 0.0 else np.eye(3)
         p_o = p_WOcm + z[m + 3 :] + (p_WCs - p_WOcm) @ R.T
         gap = np.einsum("cba,cb->ca", R_WCs, p_h - p_o).ravel()

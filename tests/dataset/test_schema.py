@@ -116,6 +116,7 @@ def grasps(draw, facts):
         penetration_mesh_m=draw(REAL | st.just(float("nan"))),
         squeeze_margin=draw(REAL | st.just(float("nan"))),
         stiffness_least=draw(REAL | st.just(float("nan"))),
+        foretold_motion=draw(REAL | st.just(float("nan"))),
         seconds=draw(REAL),
     )
 

@@ -140,6 +140,13 @@ def test_a_crooked_fingertip_does_not_turn_the_wrist_frame_either() -> None:
     assert max(off(interpret(replace(hand, joints=crooked), name="hand"))) < 5.0
 
 
+def test_fingers_that_are_drawn_half_bent_do_not_turn_it_either() -> None:
+    hand = box_hand((("prox", Y, (0.0, 0.0, 0.0), (-0.35, 1.1)), ("dist", Y, (0.0, 0.0, 0.04), (-0.4, 1.1))))
+    bent = {"prox": rotation_about(Y, 0.35), "dist": rotation_about(Y, 0.4)}
+    joints = (replace(j, R_PJ=bent[j.child[-4:]]) if j.child[-4:] in bent and j.axis[1] else j for j in hand.joints)
+    assert max(off(interpret(replace(hand, joints=tuple(joints)), name="hand"))) < 5.0
+
+
 # ---- what is a finger
 
 

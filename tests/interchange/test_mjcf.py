@@ -11,10 +11,10 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Convex, Hand
+from xdex_drake.hand.fingertip import replace_tip
 from xdex_drake.hand.importing.mjcf import read_mjcf
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import load_hand
-from xdex_drake.hand.mirror import replace_tip
 from xdex_drake.interchange.mjcf import MJCF, depth_first, export_mjcf, hand_mjcf
 from xdex_drake.scene.plant import PlantSettings
 

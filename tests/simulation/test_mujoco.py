@@ -11,12 +11,13 @@ from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
 from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.library import load_hand
-from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, export_scenes, scene_mjcf
+from xdex_drake.interchange.mjcf import MJCF, MjcfSettings
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation import drake
 from xdex_drake.simulation.mujoco import lift, load_model, mujoco_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT
+from xdex_drake.simulation.scenes import export_scenes, lift_scene
 from xdex_drake.simulation.trajectory import target_rates, targets
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
@@ -127,7 +128,7 @@ def test_a_broken_state_is_a_failed_simulation(hand, scene, grasps, tmp_path, mo
 
 def test_the_rig_is_the_exported_scene(rig, grasps, hand, scene):
     grasp = grasps[1]
-    model = load_model(scene_mjcf(hand, scene, grasp=grasp))
+    model = load_model(lift_scene(hand, scene, grasp=grasp))
     rig.start(grasp)
     for name in (
         "body_pos",
@@ -179,7 +180,7 @@ def test_a_scene_lifts_by_its_key_frames_alone(grasps, hand, scene, rig, tmp_pat
 def test_masses_and_friction_of_the_scene(hand):
     thing = load_object("mug", mass=0.23, friction=0.3)
     scene = make_scene(thing)
-    model = load_model(scene_mjcf(hand, scene))
+    model = load_model(lift_scene(hand, scene))
     body = model.body("object")
     assert body.mass[0] == 0.23
     R = np.zeros(9)

@@ -122,7 +122,7 @@ class Export:
     def _write_scenes(self) -> int:
         from xdex_drake.dataset.files import load_grasps
         from xdex_drake.errors import ConfigError
-        from xdex_drake.interchange.mjcf import export_scenes
+        from xdex_drake.simulation.scenes import export_scenes
 
         stored = load_grasps(self.file)
         if not stored:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,6 +128,22 @@ def certified_map(certificate: Certificate) -> GraspMap:
     mu = np.array([contact.mu for contact in contacts])
     held = HeldObject(certificate.mass, certificate.length, certificate.p_OOcm, mu, certificate.R_WO)
     return held.grasp_map([contact.p_OC for contact in contacts], [contact.n_OC for contact in contacts])
+
+
+def with_forces(certificate: Certificate, f: ArrayLike) -> Certificate:
+    """The certificate with other forces that balance gravity within the cones, such as those of a firmer squeeze.
+
+    Args:
+        certificate: The certificate.
+        f: The forces in contact frames [N], shape (3 n,).
+
+    Returns:
+        The certificate; its margins do not depend on the forces.
+    """
+    forces = np.asarray(f, dtype=float).reshape(-1, 3)
+    contacts = tuple(replace(c, f_C=force.copy()) for c, force in zip(certificate.contacts, forces, strict=True))
+    changed = replace(certificate, contacts=contacts)
+    return replace(changed, wrench_residual=check_certificate(changed).wrench)
 
 
 def check_certificate(certificate: Certificate) -> Residuals:

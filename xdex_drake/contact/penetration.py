@@ -8,7 +8,7 @@ from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 
 
-def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayLike) -> Array:
+def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayLike, *, reach: float = 0.0) -> Array:
     """How deep each point is inside the hand's collision geometry.
 
     Where geometries overlap, the depth is the greatest of theirs (a lower bound of the depth in their union).
@@ -18,6 +18,7 @@ def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayL
         R_WLs: Rotations of the links in W, in the order of `hand.links`, shape (n_links, 3, 3).
         p_WLs: Origins of the links in W [m], shape (n_links, 3).
         points_W: Points in W [m], shape (m, 3).
+        reach: Distance by which the geometry is enlarged first [m].
 
     Returns:
         Depths [m], zero outside, shape (m,).
@@ -46,11 +47,11 @@ def hand_depths(hand: Hand, R_WLs: ArrayLike, p_WLs: ArrayLike, points_W: ArrayL
     middle = points.mean(axis=0)
     x, c = points - middle, centers - middle
     squared = (x * x).sum(axis=1) - 2.0 * c @ x.T + (c * c).sum(axis=1)[:, None]  # (n_shapes, m)
-    near = squared < (radii * radii)[:, None]
+    near = squared < ((radii + reach) ** 2)[:, None]
     for row in np.flatnonzero(near.any(axis=1)):
         k, geometry = shapes[row][:2]
         index = np.flatnonzero(near[row])
-        depth = -geometry.signed_distance((points[index] - p[k]) @ R[k])
+        depth = reach - geometry.signed_distance((points[index] - p[k]) @ R[k])
         depths[index] = np.maximum(depths[index], depth)
     return depths
 

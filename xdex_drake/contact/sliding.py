@@ -46,10 +46,10 @@ class PushSettings:
 
     ramp_s: float = 0.1
     duration_s: float = 0.5
-    step_s: float = 0.0125
+    step_s: float = 0.025
     damping: float = 0.11
     creep: float = 1e-3
-    iterations: int = 6
+    iterations: int = 3
 
 
 PUSH = PushSettings()
@@ -115,7 +115,7 @@ def pushed_motion(
     for step in range(1, round(settings.duration_s / h) + 1):
         load = z @ inert + v @ still + rest
         load[:, m:] += min(1.0, step * h / settings.ramp_s) * W
-        was, limit, z_0 = (z @ Et.T).reshape(k, nc, 2), mus * normal, z
+        was, limit, z_0, pressing = (z @ Et.T).reshape(k, nc, 2), mus * normal, z, normal
         for _ in range(settings.iterations):
             left = fixed + ((c / h) @ dampers + touching @ springs).reshape(k, n, n)
             right = load + ((c / h)[:, :, None] * was).reshape(k, -1) @ Et - (touching * f0[:, 2]) @ En

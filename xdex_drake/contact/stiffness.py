@@ -144,7 +144,7 @@ def response(stiffness: GraspStiffness, f: ArrayLike, wrenches: ArrayLike) -> Re
     """
     f, m = np.asarray(f, dtype=float), len(stiffness.kp)
     loads = np.concatenate([np.zeros((m, len(np.atleast_2d(wrenches)))), np.atleast_2d(wrenches).T])
-    z = np.linalg.solve(stiffness.hessian(f), loads)
+    z = np.asarray(np.linalg.solve(stiffness.hessian(f), loads), dtype=float)
     df = (stiffness.J @ z[:m] - stiffness.G.T @ z[m:]) / stiffness.compliance[:, None]
     f_Ws = np.einsum("cab,cb->ca", stiffness.R_WCs, f.reshape(-1, 3))
     turns = np.einsum("cab,cbz->caz", skew(f_Ws), stiffness.turning)  # f x turn: minus the turn of f's frame

@@ -161,6 +161,13 @@ SCHEMA = pa.schema(
             nullable=True,
         ),
         _column(
+            "foretold_motion",
+            _REAL,
+            "1",
+            "natural logarithm of the foretold motion under pushes of m g, over the bounds of the protocol hold",
+            nullable=True,
+        ),
+        _column(
             "penetration_parts_cm",
             _REAL,
             "cm",
@@ -286,6 +293,7 @@ def row_from_grasp(
         **_certificate_columns(grasp.certificate),
         "squeeze_margin": _number(grasp.squeeze_margin),
         "stiffness_least": _number(grasp.stiffness_least),
+        "foretold_motion": _number(grasp.foretold_motion),
         "penetration_parts_cm": _to_cm(grasp.penetration_parts_m),
         "penetration_mesh_cm": _to_cm(grasp.penetration_mesh_m),
         **lift_columns(grasp.lift),
@@ -334,6 +342,7 @@ def grasp_from_row(row: Mapping[str, Any]) -> Grasp:
             penetration_mesh_m=_from_cm(row["penetration_mesh_cm"]),
             squeeze_margin=_or_nan(row["squeeze_margin"]),
             stiffness_least=_or_nan(row["stiffness_least"]),
+            foretold_motion=_or_nan(row["foretold_motion"]),
             seconds=row["seconds"],
         )
     except KeyError as error:

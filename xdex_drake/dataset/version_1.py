@@ -20,6 +20,7 @@ _NEW = (
     "tau_squeeze",
     "squeeze_margin",
     "stiffness_least",
+    "foretold_motion",
     "holds",
     "hold_reason",
     "hold_slip_m",

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from xdex_drake.arrays import Array
-from xdex_drake.contact.certificate import certify
+from xdex_drake.contact.certificate import certify, with_forces
 from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
@@ -17,10 +17,12 @@ from xdex_drake.contact.penetration import penetration_depth
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
+from xdex_drake.grasping.passive import holding_squeeze
 from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.grasping.reasons import Reason, Rejection
-from xdex_drake.grasping.squeeze import squeeze
+from xdex_drake.grasping.squeeze import squeeze, squeezed
+from xdex_drake.grasping.true_shapes import clear, lowest_height, touch
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
@@ -32,7 +34,10 @@ from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
 
 SURFACE_POINTS = 4096
-"""Points of the object's surface at which penetration is measured."""
+"""Points of the object's surface, of parts and of mesh each, at which penetration and clearance are measured."""
+
+PREGRASP_GAP = 1e-3
+"""Least gap between the hand's shapes at the pre-grasp and these points [m]."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +48,21 @@ class Demands:
         squeezes: Fractions of the friction and least normal forces [in units of m g] that the certificate's forces try
             in turn.
         task_margin: Least task margin of three or more contacts. (Pinches have little or none.)
-        penetration_m: Deepest penetration, against the parts [m].
+        touch_m: Greatest gap between the hand's shapes and the mesh at a contact [m].
+        smoothing_m: Greatest distance of parts and mesh at a contact [m].
+        penetration_m: Deepest penetration, against parts and mesh alike [m].
+        table_m: Least height of the hand's shapes above the table, at grasp and pre-grasp [m].
+        foretold: Greatest motion under pushes that is foretold, as a logarithm: above zero the object leaves the bounds
+            of the protocol `hold`; see `passive.foretold_motion`.
     """
 
     squeezes: tuple[tuple[float, float], ...] = ((0.55, 1.5), (0.7, 1.0), (0.85, 0.5))
     task_margin: float = 0.0
-    penetration_m: float = 1e-3
+    touch_m: float = 3e-4
+    smoothing_m: float = 5e-4
+    penetration_m: float = 5e-4
+    table_m: float = 2e-4
+    foretold: float = float("inf")
 
 
 GIVEN = Demands()
@@ -114,11 +128,13 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     Returns:
         The grasp, or the reason why there is none.
     """
-    scene, k = point.scene, point.k
-    R_OW = scene.X_WO.rotation().matrix().T
-    p_WCs, n_WCs = point.exact_contacts()
-    p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
-    n_OCs = n_WCs @ R_OW.T
+    scene, touches = point.scene, touch(hand, point)
+    if np.abs(touches.gaps).max(initial=0.0) > demands.touch_m:
+        return Outcome(None, Rejection(Reason.TOUCH))
+    if touches.smoothing.max(initial=0.0) > demands.smoothing_m:
+        return Outcome(None, Rejection(Reason.SURFACE))
+    k, p_WCs, R_WO = touches.k, touches.p_WCs, scene.X_WO.rotation().matrix()
+    p_OCs, n_OCs = (p_WCs - scene.X_WO.translation()) @ R_WO, touches.n_WCs @ R_WO
     links = [hand.links[link].name for link in point.contacts.links]
     held = HeldObject.of(scene)
     J = k.jacobian(point.contacts.links, p_WCs)[:, :, 6:]
@@ -135,10 +151,10 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
         return Outcome(None, Rejection(Reason.TASK_MARGIN))
     rested = rest_idle_fingers(hand, scene, k, links)
     outcome = prepared(hand, scene, rested, result.certificate, protocol=protocol, demands=demands)
-    if outcome.grasp is None and rested is not k:
-        # Idle fingers near the object may bar the way to it: then they stay as they were.
-        return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
-    return outcome
+    if outcome.reason is None or outcome.reason.reason is Reason.HOLD or rested is k:
+        return outcome
+    # Idle fingers near the object may bar the way to it: then they stay as they were.
+    return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
 
 
 def prepared(
@@ -158,11 +174,16 @@ def prepared(
         The grasp, or the reason why there is none.
     """
     depth_parts, depth_mesh = penetrations(hand, k, scene)
-    if depth_parts > demands.penetration_m:
+    if max(depth_parts, depth_mesh) > demands.penetration_m:
         return Outcome(None, Rejection(Reason.PENETRATION))
+    if lowest_height(hand, k) < demands.table_m:
+        return Outcome(None, Rejection(Reason.CONSTRAINT, "table"))
     opened = pregrasp(hand, scene, k.X_WH, k.q)
-    if opened.clearance < 1e-3:
+    open_k, surface = Configuration.at(hand, opened.X_WH, opened.q), np.concatenate(_surface_points(scene.object))
+    if not clear(hand, open_k, (scene.X_WO @ surface.T).T, PREGRASP_GAP):
         return Outcome(None, Rejection(Reason.PREGRASP))
+    if lowest_height(hand, open_k) < demands.table_m:
+        return Outcome(None, Rejection(Reason.PREGRASP, "table"))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
         return Outcome(None, Rejection(Reason.APPROACH))
     grasp = Grasp(
@@ -177,7 +198,42 @@ def prepared(
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
     )
-    return Outcome(squeeze(hand, grasp, scene, protocol.plant.kp))
+    return held_firmly(hand, scene, k, grasp, protocol=protocol, demands=demands)
+
+
+def held_firmly(
+    hand: Hand, scene: Scene, k: Configuration, grasp: Grasp, *, protocol: LiftProtocol, demands: Demands
+) -> Outcome:
+    """Squeezes a grasp for all pushes at once, and asks whether it is foretold to hold.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        k: The grasp's configuration.
+        grasp: A grasp with a certificate.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The grasp with the forces of its squeeze in its certificate, or the reason why there is none. Where no squeeze
+        for all pushes is found and the demands do not ask for one, the certificate's own forces are applied.
+    """
+    assert grasp.certificate is not None
+    kp = protocol.plant.kp
+    holding = holding_squeeze(hand, k, scene, grasp.certificate, kp=kp)
+    if holding.foretold > demands.foretold:
+        return Outcome(None, Rejection(Reason.HOLD))
+    found = holding.squeeze
+    if found.status != "solved":
+        return Outcome(squeeze(hand, grasp, scene, kp))
+    grasp = replace(
+        grasp,
+        certificate=with_forces(grasp.certificate, found.f),
+        squeeze_margin=found.elastic_margin,
+        stiffness_least=found.object_eigenvalue,
+        foretold_motion=holding.foretold,
+    )
+    return Outcome(squeezed(hand, grasp, found.torques, kp))
 
 
 def polish(

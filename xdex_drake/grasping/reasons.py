@@ -12,19 +12,25 @@ class Reason(StrEnum):
     """The step at which a candidate is given up."""
 
     CONSTRAINT = "constraint"
+    TOUCH = "touch"
+    SURFACE = "surface"
     CERTIFICATE = "certificate"
     TASK_MARGIN = "task margin"
     PENETRATION = "penetration"
     PREGRASP = "pregrasp"
     APPROACH = "approach"
+    HOLD = "hold"
 
 
 WORDS = {
+    Reason.TOUCH: "the hand's shapes do not touch the object where the spheres that stand for them do",
+    Reason.SURFACE: "the object's convex parts differ from its mesh at a contact",
     Reason.CERTIFICATE: "the contacts do not hold the object within friction and the motors' efforts",
     Reason.TASK_MARGIN: "the contacts hold the object, but do not resist a push of its own weight",
     Reason.PENETRATION: "the hand is more than the allowed depth inside the object",
     Reason.PREGRASP: "no way was found to open the hand and come near the object without touching it",
     Reason.APPROACH: "the open hand has no straight way of 10 cm to the object that is clear of object and table",
+    Reason.HOLD: "the hand holds the object, but pushes of its own weight are foretold to tear it from the grasp",
 }
 """What each reason means, for people; those of constraints are `CONSTRAINT_WORDS`."""
 

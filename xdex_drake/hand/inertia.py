@@ -42,11 +42,12 @@ def link_inertia(geometry: tuple[Geometry, ...], mass: float | None = None) -> t
     volume = sum(part.volume for part in parts)
     center = sum((part.volume * part.p_LCenter for part in parts), np.zeros(3)) / volume
     moments = sum(
-        (part.moments + part.volume * _offset_moment(part.p_LCenter - center) for part in parts), np.zeros((3, 3))
+        (part.moments + part.volume * offset_moment(part.p_LCenter - center) for part in parts), np.zeros((3, 3))
     )
     mass = DENSITY * volume if mass is None else mass
     return mass, center, mass / volume * moments + rotor
 
 
-def _offset_moment(p: Array) -> Array:
+def offset_moment(p: Array) -> Array:
+    """Rotational inertia of a unit of mass at a point, about the origin (Steiner) [m^2], shape (3, 3)."""
     return float(p @ p) * np.eye(3) - np.outer(p, p)

@@ -17,7 +17,7 @@ import numpy as np
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Coupling, Finger, Geometry, Hand, Joint, Link
-from xdex_drake.hand.inertia import ROTOR_INERTIA, link_inertia
+from xdex_drake.hand.inertia import ROTOR_INERTIA, link_inertia, offset_moment
 from xdex_drake.hand.kinematics import rotation_about
 from xdex_drake.hand.spheres import fit_spheres
 
@@ -443,8 +443,8 @@ def _merged(parent: Link, child: Link, R: Array, p: Array) -> Link:
     if derived:
         mass, p_cm, inertia = link_inertia(geometry, mass)
     else:
-        inertia = parent.I_LLcm + parent.mass * _offset_moment(parent.p_LLcm - p_cm)
-        inertia = inertia + R @ child.I_LLcm @ R.T + child.mass * _offset_moment(p + R @ child.p_LLcm - p_cm)
+        inertia = parent.I_LLcm + parent.mass * offset_moment(parent.p_LLcm - p_cm)
+        inertia = inertia + R @ child.I_LLcm @ R.T + child.mass * offset_moment(p + R @ child.p_LLcm - p_cm)
         inertia = 0.5 * (inertia + inertia.T)
     spheres = np.concatenate([parent.spheres, np.column_stack([child.spheres[:, :3] @ R.T + p, child.spheres[:, 3]])])
     fitted = all(np.array_equal(link.spheres, fit_spheres(link.geometry)) for link in (parent, child))
@@ -455,10 +455,6 @@ def _is_derived(link: Link) -> bool:
     """Whether a link's mass is spread as its geometry says."""
     _, p_LLcm, I_LLcm = link_inertia(link.geometry, link.mass)
     return np.array_equal(p_LLcm, link.p_LLcm) and np.array_equal(I_LLcm, link.I_LLcm)
-
-
-def _offset_moment(p: Array) -> Array:
-    return float(p @ p) * np.eye(3) - np.outer(p, p)
 
 
 # ---- what the operations share

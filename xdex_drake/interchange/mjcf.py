@@ -9,7 +9,7 @@ most of what a fingertip weighs then. `docs/mujoco.md` gives the numbers, measur
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -19,7 +19,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
-from xdex_drake.grasp import Grasp
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
@@ -27,8 +26,6 @@ from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, num
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR, visual_obj
 from xdex_drake.scene.plant import CARRIAGE_MASS, CARRIAGE_RADIUS, PlantSettings
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
-from xdex_drake.simulation.trajectory import targets
 
 LEAST_RANGE = 1e-6
 """Range of a joint whose limits are equal, which MuJoCo refuses [rad or m]."""
@@ -137,72 +134,61 @@ def hand_mjcf(hand: Hand, *, plant: PlantSettings | None = None, settings: MjcfS
     return model.finished()
 
 
+@dataclass(frozen=True)
+class KeyFrame:
+    """A moment of a lift that a scene remembers.
+
+    Attributes:
+        name: Its name.
+        q: Joint values, shape (n,).
+        targets: Targets of the actuated joints, shape (n,).
+        offset: Offset of the carriage, of its targets too [m], shape (3,).
+    """
+
+    name: str
+    q: Array
+    targets: Array
+    offset: Array
+
+
 def scene_mjcf(
     hand: Hand,
     scene: Scene,
     *,
-    protocol: LiftProtocol = LIFT,
-    grasp: Grasp | None = None,
+    plant: PlantSettings | None = None,
+    X_WH: RigidTransform | None = None,
+    keyframes: Sequence[KeyFrame] = (),
+    name: str = "",
     settings: MjcfSettings = MJCF,
 ) -> Mjcf:
-    """The scene of a lift as MJCF: a hand on its carriage, an object, a table.
+    """A hand on a carriage, an object and a table as MJCF.
 
     The carriage's three slides along x, y and z of W come first among bodies, joints and actuators, then the body that
     carries the wrist frame, then the hand as in `hand_mjcf`, last the object with its free joint. Masses, inertias and
     gains are those of the Drake plant. The object collides by its convex parts and shows its mesh; every contact of it
-    has the friction that Drake makes of both surfaces', 2 mu_1 mu_2 / (mu_1 + mu_2). Without a grasp the wrist frame
-    stands in the world's.
+    has the friction that Drake makes of both surfaces', 2 mu_1 mu_2 / (mu_1 + mu_2).
 
     Args:
         hand: The hand.
         scene: The object on its table.
-        protocol: The protocol whose gains, mass and friction hold.
-        grasp: A grasp with pre-grasp and squeeze: where the wrist stands, and the key frames `pregrasp`, `grasp` and
-            `squeeze`; the last one is the grasp with the squeeze's targets.
+        plant: Gains and friction; the library's where None.
+        X_WH: Where the wrist stands while the carriage has no offset; the world's frame where None.
+        keyframes: What the scene remembers by name.
+        name: Name of the model; hand and object where empty.
         settings: MuJoCo's physics.
 
     Returns:
         The model.
     """
-    scene, plant = protocol_scene(scene, protocol), protocol.plant
-    name = f"{hand.name}-{scene.object.name}" if grasp is None else grasp.grasp_id or f"{hand.name}-{scene.object.name}"
-    model = _Model(name, settings)
+    plant = plant or PlantSettings()
+    model = _Model(name or f"{hand.name}-{scene.object.name}", settings)
     model.add_surroundings(scene, plant)
-    mount = model.add_carriage(hand, plant, RigidTransform() if grasp is None else grasp.X_WH)
+    mount = model.add_carriage(hand, plant, X_WH or RigidTransform())
     model.add_hand(mount, hand, plant)
-    model.add_object(hand, scene, plant, scene.X_WO if grasp is None else grasp.X_WO)
-    if grasp is not None:
-        model.add_keyframes(hand, grasp, protocol)
+    model.add_object(hand, scene, plant, scene.X_WO)
+    if keyframes:
+        model.add_keyframes(hand, scene.X_WO, keyframes)
     return model.finished()
-
-
-def export_scenes(
-    grasps: Iterable[tuple[Grasp, Hand, Scene]], folder: str | Path, *, protocol: LiftProtocol = LIFT
-) -> list[Path]:
-    """Writes a scene for each grasp into a folder; see `scene_mjcf`.
-
-    Args:
-        grasps: Grasps with pre-grasp and squeeze, each with its hand and scene.
-        folder: The folder; made where it does not exist. Scenes share the meshes in its `meshes`.
-        protocol: The protocol whose gains, mass and friction hold.
-
-    Returns:
-        Paths of the MJCF files, in the order of the grasps.
-
-    Raises:
-        ConfigError: A grasp has no pre-grasp or no squeeze, two have the same identifier, or the folder cannot be
-            written.
-    """
-    files: dict[Path, None] = {}
-    for grasp, hand, scene in grasps:
-        name = grasp.grasp_id or f"{hand.name}-{scene.object.name}"
-        if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.tau_squeeze is None:
-            raise ConfigError(f"grasp {name}: it has no pre-grasp or squeeze; make it with `xdex grasp`")
-        file = Path(folder) / f"{file_name(name)}.xml"
-        if file in files:
-            raise ConfigError(f"grasp {name}: another grasp has this identifier; export them to folders of their own")
-        files[scene_mjcf(hand, scene, protocol=protocol, grasp=grasp).write(file)] = None
-    return list(files)
 
 
 def body_name(link: Link) -> str:
@@ -306,16 +292,14 @@ class _Model:
         looks = {"group": "2", "contype": "0", "conaffinity": "0", "rgba": numbers(np.array(OBJECT_COLOR))}
         SubElement(body, "geom", {"name": f"{name}_mesh", "mesh": mesh, **looks})
 
-    def add_keyframes(self, hand: Hand, grasp: Grasp, protocol: LiftProtocol) -> None:
-        """Adds the begin of a lift and the ends of closing and squeezing."""
+    def add_keyframes(self, hand: Hand, X_WO: RigidTransform, keyframes: Sequence[KeyFrame]) -> None:
+        """Adds moments, the object where it lies."""
         keyframe = SubElement(self.root, "keyframe")
-        pose = np.concatenate([grasp.X_WO.translation(), grasp.X_WO.rotation().ToQuaternion().wxyz()])
-        closed, ended = protocol.close_s, protocol.close_s + protocol.squeeze_s
-        for name, t, t_posture in (("pregrasp", 0.0, 0.0), ("grasp", closed, closed), ("squeeze", ended, closed)):
-            q, offset = targets(grasp, protocol, t)
-            posture = hand.q_full(targets(grasp, protocol, t_posture)[0])[depth_first(hand)]
-            qpos, ctrl = np.concatenate([offset, posture, pose]), np.concatenate([offset, q])
-            SubElement(keyframe, "key", {"name": name, "qpos": numbers(qpos), "ctrl": numbers(ctrl)})
+        pose = np.concatenate([X_WO.translation(), X_WO.rotation().ToQuaternion().wxyz()])
+        for frame in keyframes:
+            qpos = np.concatenate([frame.offset, hand.q_full(frame.q)[depth_first(hand)], pose])
+            ctrl = np.concatenate([frame.offset, frame.targets])
+            SubElement(keyframe, "key", {"name": frame.name, "qpos": numbers(qpos), "ctrl": numbers(ctrl)})
 
     def add_hand(self, mount: Element, hand: Hand, plant: PlantSettings) -> None:
         """Adds a hand below a body whose frame is H."""

@@ -14,16 +14,17 @@ from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import LeastSquares
 
 
-def margin_cost(*, least: float = 6.0, most_force: float = 6.0, weight: float = 1.0) -> LeastSquares:
-    """A cost on pushes that a grasp does not resist: 1/2 w sum over six pushes of max(0, least - margin)^2.
+def margin_cost(*, least: float = 6.0, most_force: float = 6.0, weight: float = 30.0) -> LeastSquares:
+    """A cost on pushes that a grasp does not resist: 1/2 w sum over six pushes of max(0, log((1 + least) / (1 + s)))^2.
 
-    The margin against a push is the greatest multiple of the object's weight, along that axis of W, that the contacts
-    resist beside gravity (`contact.task_margin`). Normal forces are bounded instead of joint torques: without a bound
-    margins would be infinite, and this one needs no derivative of the hand's Jacobian. Where gravity is not held all
-    margins are 0 and have no slope, so the cost does most in a program that starts from a solved one's point.
+    The margin s against a push is the greatest multiple of the object's weight, along that axis of W, that the contacts
+    resist beside gravity (`contact.task_margin`); by the logarithm the smallest counts most. Normal forces are bounded
+    instead of joint torques: without a bound margins would be infinite, and this one needs no derivative of the hand's
+    Jacobian. Where gravity is not held all margins are 0 and have no slope, so the cost does most in a program that
+    starts from a solved one's point.
 
     Args:
-        least: Margin that is enough. One that is far out of reach spends effort on pushes that are resisted already.
+        least: Margin that is enough.
         most_force: Greatest normal force of a contact, in units of the object's weight.
         weight: Weight.
 
@@ -35,11 +36,11 @@ def margin_cost(*, least: float = 6.0, most_force: float = 6.0, weight: float = 
         obj = point.scene.object
         p_OcmCs = point.contacts_W - point.scene.X_WO @ obj.p_OOcm
         margins = push_margins(p_OcmCs, point.normals_W, obj.friction, obj.length, most_force=most_force)
-        short = np.maximum(0.0, least - margins.values)
+        short = np.maximum(0.0, np.log((1.0 + least) / (1.0 + margins.values)))
         slope = np.einsum("knx,nxj->kj", margins.by_points, point.surface_jacobian)
         slope += np.einsum("knx,nxj->kj", margins.by_normals, point.normal_jacobian)
         J = np.zeros((len(short), point.size))
-        J[:, : point.moving] = np.where(short > 0.0, -1.0, 0.0)[:, None] * slope
+        J[:, : point.moving] = -np.where(short > 0.0, 1.0 / (1.0 + margins.values), 0.0)[:, None] * slope
         return short, J
 
     return LeastSquares("margin", weight, evaluate, "pushes that are not resisted, in weights")

@@ -135,8 +135,7 @@ class ExactDistance:
         points = np.ascontiguousarray(points_O, dtype=np.float64).reshape(-1, 3)
         if len(points) == 0:
             return DistanceResult(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
-        _, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
-        face, closest = np.reshape(face, -1), np.reshape(closest, (-1, 3))
+        closest, face = self.closest(points)
         offset = points - closest
         distance = np.sqrt((offset * offset).sum(1))
         sign = np.where(self.contains(points), -1.0, 1.0)
@@ -144,6 +143,18 @@ class ExactDistance:
         gradient = sign[:, None] * offset / np.where(near, 1.0, distance)[:, None]
         gradient[near] = self.normals[face[near]]
         return DistanceResult(sign * distance, gradient, closest, face)
+
+    def closest(self, points_O: Array) -> tuple[Array, Faces]:
+        """The closest points of the surface, without a sign, which costs most of a query.
+
+        Args:
+            points_O: Points in O [m], shape (n, 3), n at least 1.
+
+        Returns:
+            The closest points in O [m], shape (n, 3), and the triangle of each, shape (n,).
+        """
+        _, face, closest = self._tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(points_O))
+        return np.reshape(closest, (-1, 3)), np.reshape(face, -1)
 
     def contains(self, points_O: Array) -> NDArray[np.bool_]:
         """Whether points lie inside.

@@ -47,6 +47,10 @@ CARRIAGE_MASS = 1.0
 CARRIAGE_RADIUS = 0.05
 
 
+LONGEST_STEP = 0.02
+"""Longest step of error-controlled integration [s]."""
+
+
 @dataclass(frozen=True)
 class PlantSettings:
     """Physics of the joint plant.
@@ -62,7 +66,7 @@ class PlantSettings:
         hydroelastic_modulus: Modulus of the hand's surface [Pa] where hand and object touch hydroelastically, with the
             object rigid: patches of pressure instead of points, at several times the cost. None for point contact.
         accuracy: Accuracy of error-controlled integration by CENIC (Kurtz and Castro, 2025) in place of steps of fixed
-            length; `time_step` is then the longest one. None for fixed steps.
+            length, no step longer than `LONGEST_STEP`. None for fixed steps.
     """
 
     time_step: float = 0.005
@@ -160,9 +164,7 @@ def simulator_of(bench: ScenePlant, settings: PlantSettings) -> Simulator:
     """
     simulator = Simulator(bench.diagram)
     if settings.accuracy is not None:
-        config = SimulatorConfig(
-            integration_scheme="cenic", accuracy=settings.accuracy, max_step_size=settings.time_step
-        )
+        config = SimulatorConfig(integration_scheme="cenic", accuracy=settings.accuracy, max_step_size=LONGEST_STEP)
         ApplySimulatorConfig(config, simulator)
     return simulator
 

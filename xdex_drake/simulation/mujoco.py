@@ -19,9 +19,10 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import MissingExtra
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.interchange.mjcf import MJCF, Mjcf, MjcfSettings, body_name, scene_mjcf
+from xdex_drake.interchange.mjcf import MJCF, Mjcf, MjcfSettings, body_name
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.scenes import lift_scene
 from xdex_drake.simulation.shared import shared
 from xdex_drake.simulation.trajectory import target_rates, targets
 from xdex_drake.simulation.verdict import Touch, play_lift
@@ -208,7 +209,7 @@ def mujoco_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, setti
     Raises:
         MissingExtra: MuJoCo is not installed.
     """
-    model = load_model(scene_mjcf(hand, scene, protocol=protocol, settings=settings))
+    model = load_model(lift_scene(hand, scene, protocol=protocol, settings=settings))
     addresses = [int(model.joint(joint.name).qposadr[0]) for joint in hand.joints]
     link_of = {int(model.body(body_name(link)).id): k for k, link in enumerate(hand.links)}
     return MujocoRig(

@@ -28,8 +28,14 @@ BLUNT = 0.12
 PHALANX = 0.5
 """A step from joint to joint that is shorter than this share of the finger's longest is a hub, no phalanx."""
 
+STRAIGHTER = 0.015
+"""A finger that is straighter when open, by this share of its length, is drawn half bent at zero."""
+
 STRAY = np.deg2rad(40.0)
 """A first phalanx that leads farther than this away from the tip does not tell the finger's direction [rad]."""
+
+LEAN = 0.4
+"""Sine of the angle by which the fingers of a gripper may lean to one side for lack of a common range."""
 
 NO_SHAPE_TIP = 0.02
 """Length of a last link of which nothing is known [m]."""
@@ -178,30 +184,42 @@ def find_digits(tree: Tree, chains: list[Chain], decisions: Decisions) -> list[D
         closing, axis = _closing(hand, chains, tips, n, decisions)
         sweep = _sweep(hand, tip, tips[n], closing)
         pad = _pad(hand, tip, tips[n], closing, axis, sweep)
-        along = _along(hand, chain, R, p, p_BTip)
+        along = _along(hand, chain, tips[n], closing)
         digits.append(Digit(chain, tips[n], pad, closing, axis, sweep, along, p[chain.bodies[0]], p_BTip))
     return _facing(hand, digits) if len(digits) == 2 else digits
 
 
-def _along(hand: Hand, chain: Chain, R: Array, p: Array, p_BTip: Array) -> Array:
-    """Unit vector along a finger at the zero posture, in B.
+def _along(hand: Hand, chain: Chain, p_LTip: Array, closing: Array) -> Array:
+    """Unit vector along a finger, in B: at the zero posture, or where it is open, if it is much straighter there."""
+    lower, upper = hand.limits
+    q0 = zero_posture(hand)
+    open_ = np.where(closing > 0.0, lower, np.where(closing < 0.0, upper, q0))
+    found = [_phalanx(hand, chain, q, p_LTip) for q in (q0, open_)]
+    return found[int(found[1][1] > found[0][1] + STRAIGHTER)][0]
 
-    It is that of the first phalanx, from where the finger begins to bend on. A phalanx leads to a joint that bends the
-    finger or to the tip; hubs, which may step aside, are shorter than half of the longest one. Where the finger as a
-    whole leads elsewhere, the way from there to the tip counts.
+
+def _phalanx(hand: Hand, chain: Chain, q: Array, p_LTip: Array) -> tuple[Array, float]:
+    """Unit vector in B along a finger's first phalanx at a posture, and how straight the finger is from there on.
+
+    A phalanx leads to a joint that bends the finger, or to the tip; hubs, which may step aside, are shorter than half
+    of the longest one. Where the finger as a whole leads elsewhere, the way from there to the tip counts.
     """
+    R, p = (x[0] for x in link_poses(hand, q))
     turning = [k for k in chain.bodies if hand.joints[k - 1].kind == "revolute"]
     axes = {k: R[k] @ hand.joints[k - 1].axis for k in turning}
     bending = [k for k in turning if abs(axes[k] @ axes[turning[-1]]) > PARALLEL]
     first = chain.bodies.index(bending[0]) if bending else 0
-    ways = np.diff(np.array([*(p[k] for k in chain.bodies[first:]), p_BTip]), axis=0)
-    ways = ways[[k in bending or not bending for k in chain.bodies[first + 1 :]] + [True]]
-    sizes = np.linalg.norm(ways, axis=1)
-    whole = p_BTip - p[chain.bodies[first]]
-    way = ways[int(np.argmax(sizes >= PHALANX * sizes.max()))]
+    p_BTip = p[chain.bodies[-1]] + R[chain.bodies[-1]] @ p_LTip
+    centers = np.array([*(p[k] for k in chain.bodies[first:]), p_BTip])
+    bends = np.array([k in bending or not bending for k in chain.bodies[first + 1 :]] + [True])
+    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+    sizes = steps * bends
+    start = int(np.argmax(sizes >= PHALANX * sizes.max()))
+    way, whole = centers[start + 1] - centers[start], p_BTip - centers[start]
     if way @ whole < np.cos(STRAY) * np.linalg.norm(way) * np.linalg.norm(whole):
         way = whole
-    return way / max(float(np.linalg.norm(way)), 1e-9)
+    straight = float(np.linalg.norm(whole) / max(float(steps[start:].sum()), 1e-9))
+    return way / max(float(np.linalg.norm(way)), 1e-9), straight
 
 
 def _facing(hand: Hand, digits: list[Digit]) -> list[Digit]:
@@ -414,21 +432,28 @@ def _unlikeness(digits: list[Digit]) -> float:
 def _finger_direction(hand: Hand, digits: list[Digit], rest: list[int], thumb: int | None) -> Array:
     along = np.mean([digits[k].along for k in rest], axis=0)
     if thumb is not None and len(digits) <= 4:
-        ways = [digits[k].p_BTip - digits[k].p_BRoot for k in range(len(digits))]
-        ways = [way / max(float(np.linalg.norm(way)), 1e-9) for way in ways]
-        fingers = np.mean([ways[k] for k in rest], axis=0)
-        sweep = np.mean([digits[k].sweep for k in rest], axis=0)
-        if len(digits) == 2 or (ways[thumb] @ fingers > 0.5 and digits[thumb].sweep @ sweep < -0.5):
+        ways = np.array([digit.p_BTip - digit.p_BRoot for digit in digits])
+        R, p = (x[0] for x in link_poses(hand, hand.limits.mean(axis=0)))
+        last = [digit.chain.bodies[-1] for digit in digits]
+        tips = np.array([p[k] + R[k] @ digit.p_LTip for k, digit in zip(last, digits, strict=True)])
+        mid = tips - p[[digit.chain.bodies[0] for digit in digits]]
+        ways, mid = (v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9) for v in (ways, mid))
+        common = mid.mean(axis=0) / max(float(np.linalg.norm(mid.mean(axis=0))), 1e-9)
+        sweeps = np.array([digit.sweep - common * (digit.sweep @ common) for digit in digits])
+        meet = sweeps[thumb] @ sweeps[rest].mean(axis=0) < -0.5 * np.linalg.norm(sweeps, axis=1).max() ** 2
+        # A claw of three may be drawn wide open.
+        alike = max(v[thumb] @ v[rest].mean(axis=0) for v in ((ways, mid) if len(digits) == 3 else (ways,))) > 0.5
+        if len(digits) == 2 or (alike and meet):
             # A claw: the thumb points as the fingers do and comes to meet them. Leaning outwards cancels at mid range.
-            R, p = (x[0] for x in link_poses(hand, hand.limits.mean(axis=0)))
-            mid = []
-            for digit in digits:
-                tip = digit.chain.bodies[-1]
-                way = p[tip] + R[tip] @ digit.p_LTip - p[digit.chain.bodies[0]]
-                mid.append(way / max(float(np.linalg.norm(way)), 1e-9))
-            along = mid[thumb] + np.mean([mid[k] for k in rest], axis=0)
+            along = mid[thumb] + mid[rest].mean(axis=0)
             if np.linalg.norm(along) < 0.3:
-                along = fingers
+                along = ways[rest].mean(axis=0)
+        if len(digits) == 2:
+            # Jaws whose ranges differ lean to one side at mid range; a gripper's fingers stand across their roots.
+            across = digits[1].p_BRoot - digits[0].p_BRoot
+            across = across / max(float(np.linalg.norm(across)), 1e-2)
+            if abs(along @ across) < LEAN * np.linalg.norm(along):
+                along = along - across * (along @ across)
     return along / max(float(np.linalg.norm(along)), 1e-9)
 
 

@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 
 from xdex_drake.arrays import Array
-from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, homogeneous, joint_motion, link_poses
 from xdex_drake.hand.importing.model import FileJoint, FileModel
 from xdex_drake.hand.importing.shape import surface_points
@@ -28,6 +27,9 @@ STILL = 0.1
 
 FOLLOW = 3e-3
 """A bar whose end stays this near to a point of another link is tied to it [m]."""
+
+PIN = 6e-3
+"""A pin lies at most this far beyond the shape of the bar that it holds [m]."""
 
 FOLDED = 0.7
 """Cosine between a bar and the way back to its finger's root, at least, in all postures."""
@@ -93,11 +95,7 @@ def held_in_place(model: FileModel, tree: Tree) -> tuple[FileModel, list[str]]:
             path.append(k)
             k = int(hand.parents[k])
         points = surface_points(tree.members[leaf])
-        if (
-            not path
-            or len(points) == 0
-            or _travel(hand, path, k, points) > STILL * np.linalg.norm(np.ptp(points, axis=0))
-        ):
+        if not path or len(points) == 0 or _travel(tree, path, points) > STILL * np.linalg.norm(np.ptp(points, axis=0)):
             continue
         held |= {hand.joints[j - 1].name for j in path}
         names.append(tree.members[leaf][0].link.name)
@@ -111,22 +109,16 @@ def _fixed(joint: FileJoint) -> FileJoint:
     return replace(joint, kind="fixed", p_PJ=X[:3, 3], R_PJ=X[:3, :3], mimic=None)
 
 
-def _travel(hand: Hand, path: list[int], base: int, points: Array) -> float:
-    """How far the middle of the first of some links moves in the frame of a base, by one motor at a time [m]."""
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    lower, upper = hand.limits
-    q0 = np.clip(0.0, lower, upper)
+def _travel(tree: Tree, path: list[int], points: Array) -> float:
+    """How far the middle of the first of some links is from an axis, or slides: the most over its joints [m]."""
+    hand = tree.skeleton
+    R, p = (x[0] for x in link_poses(hand, np.clip(0.0, *hand.limits)))
+    middle = p[path[0]] + R[path[0]] @ (0.5 * (points.min(axis=0) + points.max(axis=0)))
     most = 0.0
-    for motor in np.flatnonzero((hand.coupling_matrix[[k - 1 for k in path]] != 0.0).any(axis=0)):
-        qs = np.repeat(q0[None], 9, axis=0)
-        # A narrow range does not make a finger a knob.
-        turns = not any(hand.prismatic[k - 1] for k in path if hand.coupling_matrix[k - 1, motor] != 0.0)
-        width = max(float(upper[motor] - lower[motor]), 1.0 if turns else 0.0)
-        qs[:, motor] = 0.5 * (lower[motor] + upper[motor]) + width * np.linspace(-0.5, 0.5, 9)
-        R, p = link_poses(hand, qs)
-        p_BM = p[:, path[0]] + R[:, path[0]] @ middle
-        p_base = np.einsum("nji,nj->ni", R[:, base], p_BM - p[:, base])
-        most = max(most, float(np.ptp(p_base, axis=0).max()))
+    for k in path:
+        joint = hand.joints[k - 1]
+        lever = float(np.linalg.norm(np.cross(R[k] @ joint.axis, middle - p[k])))
+        most = max(most, joint.upper - joint.lower if joint.kind == "prismatic" else lever)
     return most
 
 
@@ -169,8 +161,7 @@ def _is_bar(tree: Tree, leaf: int) -> bool:
     qs = lower + np.linspace(0.0, 1.0, 9)[:, None] * (upper - lower)
     R, p = link_poses(hand, qs)
     motors = {int(k) for body in path[:-1] for k in np.flatnonzero(hand.coupling_matrix[body - 1])}
-    reach = float(np.linalg.norm(points, axis=1).max())
-    if len(motors) == 1 and any(stay_joined(R, p, leaf, a, 1.5 * reach) for a in path[2:]):
+    if len(motors) == 1 and any(_ties(joined_at(R, p, leaf, a), points) for a in path[2:]):
         return True
     ahead = R[:, leaf] @ (0.5 * (points.min(axis=0) + points.max(axis=0)))
     back = p[:, path[-2]] - p[:, leaf]
@@ -179,24 +170,31 @@ def _is_bar(tree: Tree, leaf: int) -> bool:
     return bool(np.linalg.norm(ahead, axis=1).min() > 5e-3 and cosine.min() > FOLDED)
 
 
-def stay_joined(R: Array, p: Array, a: int, b: int, reach: float = 0.15) -> bool:
-    """Whether some point is fixed in both of two links over all postures.
+def _ties(point: Array | None, shape: Array) -> bool:
+    """Whether a point of a link lies at its shape and away from its joint, as the pin at a bar's other end does."""
+    if point is None:
+        return False
+    low, high = shape.min(axis=0), shape.max(axis=0)
+    near = bool((point > low - PIN).all() and (point < high + PIN).all())
+    return near and bool(np.linalg.norm(point) > 0.3 * np.linalg.norm(high - low))
+
+
+def joined_at(R: Array, p: Array, a: int, b: int) -> Array | None:
+    """The point that is fixed in both of two links over all postures.
 
     Args:
         R: Rotations of the links, shape (N, n_links, 3, 3).
         p: Their origins [m], shape (N, n_links, 3).
         a: Index of one link.
         b: Index of the other.
-        reach: Greatest distance of the point from the first link's origin [m].
 
     Returns:
-        Whether there is such a point, up to `FOLLOW`.
+        The point in the frame of the first link [m], shape (3,); None where there is none, up to `FOLLOW`.
     """
     rows = np.concatenate([R[:, a], -R[:, b]], axis=2).reshape(-1, 6)  # R_a c_a + p_a = R_b c_b + p_b
     gap = (p[:, b] - p[:, a]).ravel()
-    solution = np.linalg.lstsq(rows, gap, rcond=1e-6)[0]
-    near = bool(np.linalg.norm(solution[:3]) < reach)
-    return near and float(np.abs(rows @ solution - gap).max()) < FOLLOW
+    solution = np.asarray(np.linalg.lstsq(rows, gap, rcond=1e-6)[0], dtype=np.float64)
+    return solution[:3] if float(np.abs(rows @ solution - gap).max()) < FOLLOW else None
 
 
 def limb_size(tree: Tree, leaf: int, base: int, p_BLs: Array) -> tuple[int, float, float, float]:

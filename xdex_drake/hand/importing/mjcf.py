@@ -286,7 +286,8 @@ class _Reader:
         name = element.get("class", childclass)
         if name not in self.defaults:
             raise HandFileError(
-                f"{self.source}: {place} is of the class {name!r}, which no <default> defines; define it"
+                f"{self.source}: {place} is of the class {name!r}, which no <default> defines; define it, or "
+                "give the file that includes this one"
             )
         tag = "actuator" if element.tag in ACTUATORS else element.tag
         return Place(Element(element.tag, {**self.defaults[name].get(tag, {}), **element.attrib}), self.source, place)

@@ -18,12 +18,15 @@ from xdex_drake.hand.importing.limbs import (
     MOST_REACH,
     bars,
     held_in_place,
+    joined_at,
     joints_without_shape,
     limb_size,
-    stay_joined,
 )
 from xdex_drake.hand.importing.model import FileModel
 from xdex_drake.hand.importing.shape import surface_points
+
+BESIDE = 0.05
+"""A bar of a gear has its joint at most this far from that of its finger [m]."""
 
 APART = 0.2
 """Groups of fingers whose roots are farther from each other than this are two hands [m]."""
@@ -161,7 +164,18 @@ def _below(model: FileModel, top: str) -> list[str]:
 
 
 def _side_below(model: FileModel, top: str) -> str | None:
+    """The side that a link's own name says, else those of what it carries, else of what carries it."""
+    inbound = {joint.child: joint.parent for joint in model.joints}
     inside = set(_below(model, top))
+    carriers, name = [], top
+    while name in inbound:
+        name = inbound[name]
+        carriers.append(name)
+    by_carriers = next((side for link in carriers if (side := side_from_names([link]))), None)
+    return side_from_names([top]) or _side_of_names(model, inside) or by_carriers
+
+
+def _side_of_names(model: FileModel, inside: set[str]) -> str | None:
     return side_from_names([*inside, *(joint.name for joint in model.joints if joint.child in inside)])
 
 
@@ -349,24 +363,34 @@ def _leaves(hand: Hand, left_out: set[int]) -> list[int]:
 def _is_gear(hand: Hand, chain: Chain, others: list[Chain]) -> bool:
     """Whether a chain is a bar of a parallelogram that another chain, moved by the same motor, also belongs to.
 
-    Its end then stays on a link of the other: there is a point that is fixed in both. Fingers side by side also move
-    together, but about one axis.
+    It has fewer links than the other, grows beside it, and does not turn against it; or its end stays on a link of the
+    other: there is a point that is fixed in both. Fingers side by side also move together, but about one axis.
     """
-    C = hand.coupling_matrix != 0.0
+    C = hand.coupling_matrix
     motors = {int(k) for body in chain.bodies for k in np.flatnonzero(C[body - 1])}
     if len(motors) != 1:
         return False
     lower, upper = hand.limits
     q = lower + np.linspace(0.0, 1.0, 7)[:, None] * (upper - lower)
     R, p = link_poses(hand, q)
+    root = chain.bodies[0]
+    axis = R[0, root] @ hand.joints[root - 1].axis
     for other in others:
         if len(other.bodies) <= len(chain.bodies):
             continue
         if motors != {int(k) for body in other.bodies for k in np.flatnonzero(C[body - 1])}:
             continue
-        axis = R[0, chain.bodies[0]] @ hand.joints[chain.bodies[0] - 1].axis
-        apart = p[0, chain.bodies[0]] - p[0, other.bodies[0]]
+        apart = p[0, root] - p[0, other.bodies[0]]
         across = apart - axis * (apart @ axis)
-        if 3e-3 < float(np.linalg.norm(across)) < 0.05 and stay_joined(R, p, chain.bodies[-1], other.bodies[-1]):
+        if not 3e-3 < float(np.linalg.norm(across)) < BESIDE:
+            continue
+        (motor,) = motors
+        along = axis @ R[0, other.bodies[0]] @ hand.joints[other.bodies[0] - 1].axis
+        gain, of_other = along * C[root - 1, motor], C[other.bodies[0] - 1, motor]
+        same = abs(along) > 0.95 and gain * of_other > -0.5 * of_other**2
+        if same and abs(float(apart @ axis)) < BESIDE:
+            return True
+        pin = joined_at(R, p, chain.bodies[-1], other.bodies[-1])
+        if pin is not None and np.linalg.norm(pin) < 3.0 * BESIDE:
             return True
     return False

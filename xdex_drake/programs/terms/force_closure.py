@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from xdex_drake.arrays import Array, skew
+from xdex_drake.arrays import cross as cross_rows
 from xdex_drake.contact.cones import contact_frames
-from xdex_drake.hand.kinematics import cross as cross_rows
 from xdex_drake.programs.arrays import cross
 from xdex_drake.programs.block import Block
 from xdex_drake.programs.contact_forces import wrench
