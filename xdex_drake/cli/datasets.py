@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from xdex_drake.jobs.processes import UnitResult
 
 
+LISTED = 40
+"""Hands and objects of a data set that are listed."""
+
+
 @dataclass(frozen=True)
 class DatasetGenerate:
     """Makes a paired data set: grasps of a source hand, and the same grasps by other hands.
@@ -36,12 +40,16 @@ class DatasetGenerate:
         config: A YAML file; what it leaves out keeps its default.
         out: Folder of the data set.
         workers: Number of processes.
+        shard: Make only a part of the units, 2/8 for the second of eight; parts may run at once.
+        table: A compact table: units that it holds are not made again, and those that are made are appended to it.
         print_config: Print the resolved configuration and do nothing.
     """
 
     config: tyro.conf.Positional[Path | None] = None
     out: Path = Path("dataset")
     workers: int = 2
+    shard: str | None = None
+    table: Path | None = None
     print_config: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> int:
@@ -49,7 +57,8 @@ class DatasetGenerate:
         one_thread()
         from xdex_drake.dataset.folder import completed_units
         from xdex_drake.errors import ConfigError
-        from xdex_drake.jobs.pairs import DatasetConfig, generate, plan
+        from xdex_drake.jobs.compaction import table_units
+        from xdex_drake.jobs.pairs import DatasetConfig, generate, part_of, plan
         from xdex_drake.typed_yaml import read_typed_yaml
 
         config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
@@ -59,16 +68,18 @@ class DatasetGenerate:
             raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
         if self.workers < 0:
             raise ConfigError(f"--workers is {self.workers}; give 0 or more")
-        units = plan(config)
+        shard = None if self.shard is None else _part(self.shard)
+        units = part_of(plan(config), shard)
         check_writable(self.out / "manifest.json")
-        missing = len({unit.name for unit in units} - completed_units(self.out))
+        done = completed_units(self.out) | (set() if self.table is None else table_units(self.table))
+        missing = len({unit.name for unit in units} - done)
         with keeping_finished_work() as interruption, progress(missing, "units") as bar:
 
             def tell(done: UnitResult) -> None:
                 bar.set_postfix_str(done.unit.name, refresh=False)
                 bar.update()
 
-            generate(config, self.out, workers=self.workers, on_done=tell)
+            generate(config, self.out, workers=self.workers, shard=shard, table=self.table, on_done=tell)
         if not (self.out / "manifest.json").exists():
             return interruption.status(1)
         rows = _print_info(self.out)
@@ -128,6 +139,75 @@ class DatasetVerify:
             rows = [(problem.unit, problem.grasp_id, problem.reason) for problem in report.problems]
             print("\n" + table(rows, ("unit", "grasp", "what is wrong")))
         return 0 if report.ok else 1
+
+
+@dataclass(frozen=True)
+class DatasetCompact:
+    """Keeps a data set in some 60 bytes a grasp, in files below 10 MB that are appended to and never rewritten.
+
+    Certificates, pre-grasps and squeezes are left out and computed again by `xdex dataset expand`.
+    Try `xdex dataset compact pairs --out table`, then `xdex dataset expand table --out pairs2`.
+
+    Attributes:
+        folder: Folder of the data set.
+        out: Folder of the compact table; units that it lacks are appended.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    out: Path = Path("table")
+
+    def run(self) -> int:
+        """Appends what is missing, prints what the table holds."""
+        one_thread()
+        from xdex_drake.dataset.folder import open_dataset, read_manifest
+        from xdex_drake.dataset.lock import locked
+        from xdex_drake.dataset.tables import table_files
+        from xdex_drake.jobs.compaction import compact_dataset
+
+        manifest = read_manifest(self.folder)
+        check_writable(self.out / "manifest.json")
+        open_dataset(self.out, manifest)
+        with locked(self.out):
+            units, rows = compact_dataset(self.folder, self.out)
+        size = sum(path.stat().st_size for path in table_files(self.out))
+        print(facts([("units appended", units), ("rows appended", rows), ("size [MB]", f"{size / 1e6:.3f}")]))
+        return 0 if size else 1
+
+
+@dataclass(frozen=True)
+class DatasetExpand:
+    """Makes a data set from a compact table: certificates, pre-grasps and squeezes are computed again.
+
+    Attributes:
+        table: Folder of the table.
+        out: Folder of the data set; units that are there stay.
+        workers: Number of processes.
+    """
+
+    table: tyro.conf.Positional[Path]
+    out: Path = Path("dataset")
+    workers: int = 2
+
+    def run(self) -> int:
+        """Expands, then tells what the folder holds and what of the table is damaged."""
+        one_thread()
+        from xdex_drake.dataset.folder import completed_units, read_manifest
+        from xdex_drake.dataset.tables import Damage, read_records
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.jobs.compaction import expand_table, table_units
+
+        if self.workers < 0:
+            raise ConfigError(f"--workers is {self.workers}; give 0 or more")
+        read_manifest(self.table)
+        check_writable(self.out / "manifest.json")
+        missing = len(table_units(self.table) - completed_units(self.out))
+        with keeping_finished_work() as interruption, progress(missing, "units") as bar:
+            expand_table(self.table, self.out, workers=self.workers, on_done=lambda done: bar.update() and None)
+        damages = [record for record in read_records(self.table) if isinstance(record, Damage)]
+        rows = _print_info(self.out)
+        if damages:
+            print("\n" + table([(str(damage),) for damage in damages], ("damaged",)))
+        return interruption.status(0 if rows and not damages else 1)
 
 
 @dataclass(frozen=True)
@@ -226,6 +306,16 @@ class Train:
         return 130 if report.stopped == "interrupted" else 0
 
 
+def _part(text: str) -> tuple[int, int]:
+    """The two numbers of `2/8`."""
+    from xdex_drake.errors import ConfigError
+
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdecimal() and count.isdecimal()):
+        raise ConfigError(f"--shard is {text!r}; give the part and how many there are, like 2/8")
+    return int(number), int(count)
+
+
 def _print_yaml(config: object) -> int:
     """Prints a configuration as YAML, ready to be changed."""
     import yaml
@@ -258,7 +348,9 @@ def _print_info(folder: Path) -> int:
     for title, groups in (("hand", summary.by_hand), ("object", summary.by_object)):
         rows = [(name, c.rows, c.successes, f"{100.0 * c.successes / c.rows:.0f} %") for name, c in groups.items()]
         if rows:
-            print("\n" + table(rows, (title, "grasps", "lifted", "rate")))
+            print("\n" + table(rows[:LISTED], (title, "grasps", "lifted", "rate")))
+        if len(rows) > LISTED:
+            print(f"... and {len(rows) - LISTED} more")
     if summary.failures:
         print("\n" + table(sorted(summary.failures.items()), ("failed unit", "reason")))
     return summary.rows

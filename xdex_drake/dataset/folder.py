@@ -1,7 +1,8 @@
 """Data set folders: what is planned, what is done, what failed.
 
 A data set is a folder with `manifest.json`, which says what the data set is to hold, and `shards/UNIT.parquet`, a file
-of grasps for each unit of work. `failures/UNIT.json` says why a unit has no shard.
+of grasps for each unit of work. `failures/UNIT.json` says why a unit has no shard. What a unit tried without finding a
+grasp stands in the metadata of its shard.
 """
 
 import json
@@ -16,12 +17,16 @@ from typing import Any
 import pyarrow as pa
 
 from xdex_drake.dataset.grasp_file import READABLE, REMEDY, read_metadata, read_table, write_grasps
+from xdex_drake.dataset.lock import is_lock
 from xdex_drake.dataset.schema import SCHEMA, SCHEMA_VERSION, Row
 from xdex_drake.errors import DatasetError, GraspFileError
 from xdex_drake.whole_file import PARTIAL, whole_file
 
 _log = logging.getLogger(__name__)
 
+
+REJECTED = "xdex_rejected"
+"""Entry of a shard's metadata: the attempts of its unit that found no grasp."""
 
 _UNIT_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=-]{0,199}")
 
@@ -47,6 +52,21 @@ class Manifest:
     schema_version: int = SCHEMA_VERSION
 
 
+@dataclass(frozen=True)
+class Rejected:
+    """An attempt that found no grasp: little to store, and something to learn from.
+
+    Attributes:
+        hand: Name of the hand.
+        source_grasp_id: The grasp that it should have carried over.
+        reason: Why there is none, by `Rejection.name`.
+    """
+
+    hand: str
+    source_grasp_id: str
+    reason: str
+
+
 def open_dataset(folder: str | Path, manifest: Manifest) -> None:
     """Begins a data set, or goes on with one that was begun with an equal manifest.
 
@@ -69,7 +89,8 @@ def open_dataset(folder: str | Path, manifest: Manifest) -> None:
         _check_same_manifest(read_manifest(target), manifest, path)
         return
     if target.exists() and (
-        not target.is_dir() or any(not PARTIAL.fullmatch(entry.name) for entry in target.iterdir())
+        not target.is_dir()
+        or any(not PARTIAL.fullmatch(entry.name) and not is_lock(entry.name) for entry in target.iterdir())
     ):
         raise DatasetError(f"{target}: holds something else than a data set; choose a new or empty folder")
     try:
@@ -130,6 +151,38 @@ def write_shard(
     """
     write_grasps(_shard(folder, unit), rows, metadata=metadata)
     _failure(folder, unit).unlink(missing_ok=True)
+
+
+def rejected_entry(rejected: Iterable[Rejected]) -> dict[str, str]:
+    """The metadata entry of a shard that holds what was tried without finding a grasp."""
+    return {REJECTED: json.dumps([(r.hand, r.source_grasp_id, r.reason) for r in rejected])}
+
+
+def iter_rejected(folder: str | Path) -> Iterator[tuple[str, tuple[Rejected, ...]]]:
+    """What the units of a data set tried without finding a grasp, in the order of their names.
+
+    Args:
+        folder: Folder of the data set.
+
+    Yields:
+        Name of the unit and its attempts.
+
+    Raises:
+        DatasetError: The folder is no data set, or an entry cannot be read.
+        GraspFileError: A shard is damaged.
+    """
+    read_manifest(folder)
+    for path in shard_paths(folder):
+        yield path.name.removesuffix(".parquet"), read_rejected(path)
+
+
+def read_rejected(path: str | Path) -> tuple[Rejected, ...]:
+    """What the unit of a shard tried without finding a grasp; see `iter_rejected`."""
+    text = read_metadata(path).get(REJECTED, "[]")
+    try:
+        return tuple(Rejected(*(str(part) for part in entry)) for entry in json.loads(text))
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: {REJECTED} of its metadata cannot be read: {error}; {REMEDY}") from error
 
 
 def write_failure(folder: str | Path, unit: str, reason: str) -> None:

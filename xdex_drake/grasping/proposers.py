@@ -11,11 +11,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
 from xdex_drake.programs.program import GraspProgram
-from xdex_drake.programs.retargeting import refined_start, retargeting_program
+from xdex_drake.programs.retargeting import RETRY, RetrySettings, refined_start, retargeting_program, retried_starts
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.scene.tabletop import Scene
 
@@ -86,20 +89,29 @@ class Retarget:
         grasps: The source grasps, in the scene that is proposed for.
         source_hand: Their hand.
         polish: Numbers of the hard constraints; the defaults where None.
+        retry: How a grasp is tried again that does not carry over as it is.
     """
 
     grasps: tuple[Grasp, ...]
     source_hand: Hand
     polish: PolishSettings | None = None
+    retry: RetrySettings = RETRY
 
     def __call__(self, hand: Hand, scene: Scene, count: int, seed: int) -> Iterator[Candidate]:
-        """Carries the first `count` grasps over; nothing is drawn. See `Proposer`."""
-        for grasp in self.grasps[:count]:
-            programs = partial(self._programs, grasp, hand, scene)
+        """Carries the first `count` grasps over; the seed draws the starts of further attempts. See `Proposer`."""
+        for number, grasp in enumerate(self.grasps[:count]):
+            own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+            programs = partial(self._programs, grasp, hand, scene, own)
             yield Candidate(f"{grasp.grasp_id}>{hand.name}", programs, source_grasp_id=grasp.grasp_id or "unnamed")
 
-    def _programs(self, grasp: Grasp, hand: Hand, scene: Scene) -> Iterator[GraspProgram]:
-        yield retargeting_program(grasp, self.source_hand, hand, scene, settings=self.polish)
+    def _programs(self, grasp: Grasp, hand: Hand, scene: Scene, seed: int) -> Iterator[GraspProgram]:
+        build = partial(retargeting_program, grasp, self.source_hand, hand, scene, settings=self.polish)
+        yield build()
         # Hands that differ much start deep in the object, from where local convex steps do not get out.
-        start = refined_start(grasp, self.source_hand, hand, scene)
-        yield retargeting_program(grasp, self.source_hand, hand, scene, start=start, settings=self.polish)
+        yield build(start=refined_start(grasp, self.source_hand, hand, scene))
+        if self.retry.starts < 1:
+            return
+        found = retried_starts(grasp, self.source_hand, hand, scene, seed=seed, retry=self.retry)
+        for R_WH, p_WH, q, fingers in zip(found.R_WHs, found.p_WHs, found.qs, found.fingers, strict=True):
+            X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(R_WH), p_WH)
+            yield build(start=(X_WH, q), fingers=fingers)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from xdex_drake.arrays import Array
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
+from xdex_drake.programs.grasp_types import random_contact_sets
 from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_points
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import Candidates, SearchSettings, refine
@@ -67,6 +71,29 @@ def warm_start(source: Grasp, source_hand: Hand, target: Hand, *, wrist: float =
     return RigidTransform(R_WH, found.p_WHs[0]), found.qs[0]
 
 
+@dataclass(frozen=True)
+class RetrySettings:
+    """How a grasp is tried again that does not carry over as it is.
+
+    Attributes:
+        starts: Number of starts about the kinematic one, refined as one batch; 0 for none.
+        turn: Standard deviation of the wrist's turn [rad].
+        shift: Standard deviation of the wrist's displacement [m].
+        joints: Standard deviation of the joints, as a fraction of their range.
+        other_fingers: Fraction of the starts that touch with other fingers than the source's.
+    """
+
+    starts: int = 8
+    turn: float = float(np.deg2rad(7.0))
+    shift: float = 0.008
+    joints: float = 0.1
+    other_fingers: float = 0.5
+
+
+RETRY = RetrySettings()
+"""The same for all hands; measured in `studies/retargeting`."""
+
+
 REFINEMENT = SearchSettings(iterations=60, translation_step=0.002, rotation_step=0.02, joint_step=0.03)
 """The short descent that takes a warm start out of penetration and onto the surface, where hands differ much."""
 
@@ -95,6 +122,52 @@ def refined_start(
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(found.R_WHs[0]), found.p_WHs[0]), found.qs[0]
 
 
+def retried_starts(
+    source: Grasp,
+    source_hand: Hand,
+    target: Hand,
+    scene: Scene,
+    *,
+    seed: int,
+    retry: RetrySettings = RETRY,
+    settings: SearchSettings = REFINEMENT,
+) -> Candidates:
+    """Starts about the kinematic one, after a short descent of the energy of Eq. (1) as one batch.
+
+    Args:
+        source: The source grasp.
+        source_hand: Its hand.
+        target: The target hand.
+        scene: Their scene.
+        seed: Seed of the jitter and of the other fingers.
+        retry: How many, and how far about.
+        settings: Settings of the descent.
+
+    Returns:
+        The starts, least energy first.
+    """
+    rng, count = np.random.default_rng(seed), retry.starts
+    X_WH, q = warm_start(source, source_hand, target)
+    fingers = np.tile(corresponding_fingers(_touching_fingers(source, source_hand), target), (count, 1))
+    others = round(retry.other_fingers * count)
+    fingers[:others] = random_contact_sets(target, rng, others, settings.contacts)
+    low, high = target.limits
+    turns = Rotation.from_rotvec(retry.turn * rng.normal(size=(count, 3))).as_matrix()
+    starts = Candidates(
+        R_WHs=turns @ X_WH.rotation().matrix(),
+        p_WHs=X_WH.translation() + retry.shift * rng.normal(size=(count, 3)),
+        qs=np.clip(q + retry.joints * (high - low) * rng.normal(size=(count, len(q))), low, high),
+        fingers=fingers,
+        energy=np.zeros(count),
+        terms={},
+    )
+    found = refine(target, scene, starts, settings=settings)
+    order = np.argsort(found.energy, kind="stable")
+    return Candidates(
+        found.R_WHs[order], found.p_WHs[order], found.qs[order], found.fingers[order], found.energy[order], {}
+    )
+
+
 def retargeting_program(
     source: Grasp,
     source_hand: Hand,
@@ -102,6 +175,7 @@ def retargeting_program(
     scene: Scene,
     *,
     start: tuple[RigidTransform, Array] | None = None,
+    fingers: NDArray[np.bool_] | None = None,
     settings: PolishSettings | None = None,
 ) -> GraspProgram:
     """The retargeting program.
@@ -112,13 +186,15 @@ def retargeting_program(
         target: The target hand.
         scene: The scene.
         start: Wrist pose and joint values to start from; `warm_start` where None.
+        fingers: Which fingers shall touch, in the order of `target.fingers`; the corresponding ones where None.
         settings: Numbers of the hard constraints; the defaults where None.
 
     Returns:
         The program: posture and effort, keypoints, and the constraints of the force-closure program.
     """
     X_WH, q = start if start is not None else warm_start(source, source_hand, target)
-    fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
+    if fingers is None:
+        fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
     targets = keypoint_targets(source_hand, source.X_WH, source.q, target)
     return polish_program(
         target,

@@ -121,6 +121,25 @@ def random_scene(
     return make_scene(model, seed=seed, spread_m=spread_m)
 
 
+def resting_scene(object: ObjectModel, *, index: int, seed: int = 0) -> Scene:
+    """One of many scenes of an object: all its poses at rest take turns, rare ones too, each time at another yaw.
+
+    Args:
+        object: The object.
+        index: Number of the scene, from 0.
+        seed: Seed of the order of the poses and of the yaws.
+
+    Returns:
+        The scene, the center of mass above the origin; the same arguments give the same scene.
+    """
+    poses = stable_poses(object)
+    own = int(object.digest[:8], 16)
+    order = np.random.default_rng([seed, own]).permutation(len(poses))
+    yaw = np.random.default_rng([seed, own, index]).uniform(-math.pi, math.pi)
+    X_WO = RigidTransform(RotationMatrix.MakeZRotation(yaw)) @ poses[order[index % len(poses)]].X_WO
+    return Scene(object, X_WO, f"{object.name}-{object.digest[:8]}-{seed}r{index}")
+
+
 @dataclass(frozen=True, eq=False)
 class StablePose:
     """A way in which an object rests on the table; poses that differ by yaw or by a symmetry are one.

@@ -1,0 +1,36 @@
+"""Makes a whole grasp again from what little is stored of it: wrist pose, joint values and what touches."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+
+from xdex_drake.arrays import Array
+from xdex_drake.grasping.finish import Outcome, finish_grasp, polish
+from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs.force_closure import contact_set, polish_program
+from xdex_drake.programs.point import Point
+from xdex_drake.scene.tabletop import Scene
+
+
+def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDArray[np.bool_]) -> Outcome:
+    """Certificate, pre-grasp, approach and squeeze of a grasp whose pose was rounded.
+
+    Args:
+        hand: The hand.
+        scene: The scene.
+        X_WH: Wrist pose, right to some 10 micrometres.
+        q: Joint values, shape (n,).
+        slots: Which contact slots touch: the fingers, in the order of `hand.fingers`, then the palm.
+
+    Returns:
+        The grasp as `finish_grasp` makes it; where rounding took it across a bound, after a polish from where it is.
+    """
+    k = Configuration.at(hand, X_WH, q)
+    contacts = contact_set(hand, scene, k, slots)
+    outcome = finish_grasp(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))))
+    if outcome.grasp is not None:
+        return outcome
+    return polish(polish_program(hand, scene, X_WH, q, slots))
