@@ -16,8 +16,9 @@ from xdex_drake.programs.point import Point
 MM = 1e3
 """Millimetres in a metre: the unit of distance rows."""
 
-TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2}
-"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards."""
+TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2, "own": 2e-4}
+"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards. What
+users add to a program themselves is in their `own` unit, and held as closely as metres are."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from xdex_drake.programs.point import Point
 from xdex_drake.programs.point_view import PointView
 from xdex_drake.programs.term import Term, evaluate_term
 
+CURVATURE = 1e-2
+"""Curvature of costs that do not know theirs, in all directions of the tangent: steps stay bounded."""
+
 
 @dataclass(frozen=True)
 class LeastSquares:
@@ -47,6 +50,11 @@ class LeastSquares:
         r, J = self.at(point)
         return self.weight * (r @ J)
 
+    def curvature(self, point: Point) -> Array:
+        """Gauss-Newton's approximation of the Hessian, shape (size, size)."""
+        _, J = self.at(point)
+        return self.weight * J.T @ J
+
 
 @dataclass(frozen=True)
 class UserCost:
@@ -80,6 +88,10 @@ class UserCost:
             step[k] = h
             gradient[k] = (self.function(point.k.moved(step)) - self.function(point.k.moved(-step))) / (2.0 * h)
         return self.weight * gradient
+
+    def curvature(self, point: Point) -> Array:
+        """A bounded step's Hessian, shape (size, size)."""
+        return CURVATURE * np.eye(point.size)
 
 
 @dataclass(frozen=True)
@@ -118,6 +130,10 @@ class EnergyCost:
     def gradient(self, point: Point) -> Array:
         """Gradient with respect to the tangent, shape (size,)."""
         return self.weight * self.at(point)[1]
+
+    def curvature(self, point: Point) -> Array:
+        """A bounded step's Hessian, shape (size, size)."""
+        return CURVATURE * np.eye(point.size)
 
 
 Cost = LeastSquares | UserCost | EnergyCost
