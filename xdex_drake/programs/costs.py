@@ -35,10 +35,9 @@ class LeastSquares:
 
     def at(self, point: Point) -> tuple[Array, Array]:
         """What `evaluate` gives, computed once for a point."""
-        key = f"cost {self.name}"
-        if key not in point.memo:
-            point.memo[key] = self.evaluate(point)
-        return point.memo[key]
+        if self.evaluate not in point.memo:
+            point.memo[self.evaluate] = self.evaluate(point)
+        return point.memo[self.evaluate]
 
     def value(self, point: Point) -> float:
         """The cost at a point."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import count
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import InitializeAutoDiff
-from pydrake.solvers import Binding, EvaluatorBase, LinearCost, MathematicalProgram, QuadraticCost
+from pydrake.solvers import EvaluatorBase, LinearCost, MathematicalProgram, QuadraticCost
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
@@ -23,6 +24,18 @@ from xdex_drake.programs.point import Point
 
 OWN_UNIT = "own"
 """Unit of rows whose unit is their maker's."""
+
+
+class Binding(Protocol):
+    """Drake's binding of a cost or constraint to its variables."""
+
+    def evaluator(self) -> Any:
+        """The cost or constraint."""
+        ...
+
+    def variables(self) -> NDArray:
+        """Its variables."""
+        ...
 
 
 @dataclass(frozen=True)

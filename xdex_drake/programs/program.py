@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
+from pydrake.solvers import EvaluatorBase, MathematicalProgram
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.block import Block
 from xdex_drake.programs.costs import Cost, EnergyCost, LeastSquares, UserCost
-from xdex_drake.programs.foreign import ForeignCost, Variables, foreign_terms, split_autodiff
+from xdex_drake.programs.foreign import Binding, ForeignCost, Variables, foreign_terms, split_autodiff
 from xdex_drake.programs.point import ContactSet, Point
 from xdex_drake.programs.term import Term
 from xdex_drake.scene.plant import ScenePlant, build_plant
@@ -180,7 +180,7 @@ class GraspProgram:
         self._add_cost(UserCost(name, weight, function))
 
     def add(self, cost: Cost | Term) -> None:
-        """Adds a cost, such as `approach_cost((0, 0, -1))`, or an energy term, seen by every solver.
+        """Adds a cost, such as `spread_cost(0.02)`, or an energy term, seen by every solver.
 
         Args:
             cost: The cost; a term is taken with its weight, as a search takes it.
@@ -188,7 +188,7 @@ class GraspProgram:
         self._add_cost(cost if isinstance(cost, LeastSquares | UserCost | EnergyCost) else EnergyCost(cost))
 
     def add_constraint(self, block: Block) -> None:
-        """Adds a constraint of the user's own, seen by every solver."""
+        """Adds a constraint, such as `approach_block((0, 0, -1))`, seen by every solver."""
         self._add_constraint(block)
 
     def _keep(self, binding: Binding, description: str) -> None:
