@@ -1,5 +1,8 @@
 """Costs and constraints that a user adds to the `MathematicalProgram` itself count for every solver."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -137,3 +140,20 @@ def test_every_solver_begins_at_the_initial_guess(program, solved):
     result = solve(program, iterations=2, improvement=np.inf)
     assert result.success and result.iterations <= 2
     assert np.allclose(result.point.k.q, solved[1].point.k.q, atol=0.02)
+
+
+FUNCTION_OF_A_SCRIPT = """
+import xdex_drake as xd
+scene = xd.make_scene(xd.load_object("can"))
+program = xd.force_closure_program(xd.load_hand("allegro"), scene, starts=2)
+program.add_cost("upright", lambda k: 1.0 - k.X_WH.rotation().matrix()[2, 2], weight=0.1)
+program.prog.AddCost(lambda z: z[0], program.q[:1])
+print(xd.solve(program).status)
+"""
+
+
+def test_a_script_whose_functions_drake_keeps_ends_in_silence():
+    done = subprocess.run(
+        [sys.executable, "-c", FUNCTION_OF_A_SCRIPT], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() in ("solved", "infeasible") and done.stderr == ""
