@@ -202,7 +202,11 @@ class DatasetExpand:
         check_writable(self.out / "manifest.json")
         missing = len(table_units(self.table) - completed_units(self.out))
         with keeping_finished_work() as interruption, progress(missing, "units") as bar:
-            expand_table(self.table, self.out, workers=self.workers, on_done=lambda done: bar.update() and None)
+
+            def tell(done: UnitResult) -> None:
+                bar.update()
+
+            expand_table(self.table, self.out, workers=self.workers, on_done=tell)
         damages = [record for record in read_records(self.table) if isinstance(record, Damage)]
         rows = _print_info(self.out)
         if damages:
