@@ -151,7 +151,7 @@ def energy_at(term: Term, point: Point) -> tuple[float, Array]:
     view = PointView.of(point)
     value, gradients = evaluate_term(term, view)
     gradient = np.zeros(point.size)
-    gradient[: point.moving] = view.pull_back([(1.0, gradients)])
+    gradient[: point.moving] = view.pull_back(gradients)
     return float(value), gradient
 
 
