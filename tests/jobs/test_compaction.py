@@ -53,7 +53,9 @@ def random_grasp(rng, hand, scene, name, source=""):
 def unit_of(hand, scene, name="u", count=20):
     rng = np.random.default_rng(3)
     grasps = [random_grasp(rng, hand, scene, f"{name}-{k}") for k in range(count)]
-    return grasps, compact_unit(name, scene, [(hand, hand.name, "d", grasps)], rejected=[Rejected("x", f"{name}-1", "cone")])
+    return grasps, compact_unit(
+        name, scene, [(hand, hand.name, "d", grasps)], rejected=[Rejected("x", f"{name}-1", "cone")]
+    )
 
 
 def test_poses_and_lifts_come_back_within_the_steps_of_16_bits(hand, scene):
