@@ -28,6 +28,10 @@ from xdex_drake.contact.hull import GrowingHull
 from xdex_drake.errors import ConfigError
 
 
+ROUNDING = 1e-9
+"""Ball margin below which a wrench set does not hold 0 in its interior."""
+
+
 @dataclass(frozen=True)
 class TaskMargin:
     """How much of the stated disturbances a grasp resists beside gravity.
@@ -233,7 +237,8 @@ def ball_margin(grasp_map: GraspMap, *, tol: float = 1e-3, max_iterations: int =
         f = np.zeros(3 * n)
         f[3 * best : 3 * best + 3] = edge
         forces.append(f)
-    lower = min(max(lower, 0.0), upper)
+    # A margin of a few roundings is none: no forces could attain it.
+    lower = min(lower, upper) if lower > ROUNDING else 0.0
     witness = _witness(G, np.array(forces), lower, hull)
     return BallMargin(lower, upper, direction, witness, iterations, time.perf_counter() - start)
 

@@ -117,23 +117,22 @@ def penetrations(hand: Hand, k: Configuration, scene: Scene) -> tuple[float, flo
     )
 
 
-def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, demands: Demands = GIVEN) -> Outcome:
-    """Certifies a polished point, measures its penetration and prepares its lift.
+def certified(hand: Hand, point: Point, demands: Demands) -> tuple[Configuration, Certificate] | Rejection:
+    """Lets the contacts of a point touch, and certifies them.
 
     Args:
         hand: The hand.
-        point: A point whose contacts touch.
-        protocol: The protocol whose gains the squeeze is for.
+        point: A point whose contacts touch, as spheres on the parts.
         demands: What the grasp must meet.
 
     Returns:
-        The grasp, or the reason why there is none.
+        The configuration whose shapes touch the mesh, and the certificate there; or the reason why there is none.
     """
     scene, touches = point.scene, touch(hand, point)
     if np.abs(touches.gaps).max(initial=0.0) > demands.touch_m:
-        return Outcome(None, Rejection(Reason.TOUCH))
+        return Rejection(Reason.TOUCH)
     if touches.smoothing.max(initial=0.0) > demands.smoothing_m:
-        return Outcome(None, Rejection(Reason.SURFACE))
+        return Rejection(Reason.SURFACE)
     k, p_WCs, R_WO = touches.k, touches.p_WCs, scene.X_WO.rotation().matrix()
     p_OCs, n_OCs = (p_WCs - scene.X_WO.translation()) @ R_WO, touches.n_WCs @ R_WO
     links = [hand.links[link].name for link in point.contacts.links]
@@ -147,15 +146,34 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
             break
     assert result is not None
     if result.certificate is None:
-        return Outcome(None, Rejection(Reason.CERTIFICATE, result.reason))
+        return Rejection(Reason.CERTIFICATE, result.reason)
     if len(links) > 2 and result.certificate.task_margin < demands.task_margin:
-        return Outcome(None, Rejection(Reason.TASK_MARGIN))
-    rested = rest_idle_fingers(hand, scene, k, links)
-    outcome = prepared(hand, scene, rested, result.certificate, protocol=protocol, demands=demands)
+        return Rejection(Reason.TASK_MARGIN)
+    return k, result.certificate
+
+
+def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, demands: Demands = GIVEN) -> Outcome:
+    """Certifies a polished point, measures its penetration and prepares its lift.
+
+    Args:
+        hand: The hand.
+        point: A point whose contacts touch.
+        protocol: The protocol whose gains the squeeze is for.
+        demands: What the grasp must meet.
+
+    Returns:
+        The grasp, or the reason why there is none.
+    """
+    found = certified(hand, point, demands)
+    if isinstance(found, Rejection):
+        return Outcome(None, found)
+    (k, certificate), scene = found, point.scene
+    rested = rest_idle_fingers(hand, scene, k, [contact.link for contact in certificate.contacts])
+    outcome = prepared(hand, scene, rested, certificate, protocol=protocol, demands=demands)
     if outcome.reason is None or outcome.reason.reason is Reason.HOLD or rested is k:
         return outcome
     # Idle fingers near the object may bar the way to it: then they stay as they were.
-    return prepared(hand, scene, k, result.certificate, protocol=protocol, demands=demands)
+    return prepared(hand, scene, k, certificate, protocol=protocol, demands=demands)
 
 
 def prepared(

@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 
 from xdex_drake.arrays import Array
-from xdex_drake.grasping.finish import Outcome, finish_grasp, polish
+from xdex_drake.grasping.finish import GIVEN, Outcome, certified, polish, prepared
+from xdex_drake.grasping.reasons import Rejection
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.force_closure import contact_set, polish_program
 from xdex_drake.programs.point import Point
 from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT
 
 
 def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDArray[np.bool_]) -> Outcome:
@@ -26,11 +28,14 @@ def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDA
         slots: Which contact slots touch: the fingers, in the order of `hand.fingers`, then the palm.
 
     Returns:
-        The grasp as `finish_grasp` makes it; where rounding took it across a bound, after a polish from where it is.
+        The grasp as `finish` makes it; where rounding took it across a bound, after a polish from where it is.
     """
     k = Configuration.at(hand, X_WH, q)
     contacts = contact_set(hand, scene, k, slots)
-    outcome = finish_grasp(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))))
-    if outcome.grasp is not None:
-        return outcome
+    found = certified(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))), GIVEN)
+    if not isinstance(found, Rejection):
+        # Idle fingers rest already.
+        outcome = prepared(hand, scene, found[0], found[1], protocol=LIFT, demands=GIVEN)
+        if outcome.grasp is not None:
+            return outcome
     return polish(polish_program(hand, scene, X_WH, q, slots))
