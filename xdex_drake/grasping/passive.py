@@ -9,7 +9,7 @@ spread of normals about the contacts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,9 @@ MULTIPLES = (0.8, 1.0, 1.2)
 
 SPREAD_SHARE = 0.25
 """Share of the spread of normals by which the angle of friction is reduced."""
+
+SURE = -0.7
+"""Logarithm of the foretold motion, half of what is allowed, below which no other squeeze is looked for."""
 
 LOST = 5.0
 """Times the bound beyond which one motion is as bad as another."""
@@ -138,22 +141,33 @@ def holding_squeeze(
         scene: The scene.
         certificate: The certificate: its contacts, and its forces to begin with.
         kp: Proportional gain of the joints [N m/rad].
-        squeezes: Demands whose passive squeezes are compared with one another and with the certificate's own forces.
+        squeezes: Demands whose passive squeezes are tried in turn, and then the certificate's own forces, until one is
+            sure to hold.
 
     Returns:
         The squeeze; its `margin` is 0 where it applies the certificate's own forces.
     """
     grasp = elastic_grasp(hand, k, scene, certificate, kp)
     start = np.array([c.f_C for c in certificate.contacts]).ravel()
-    no_slips = np.zeros((len(grasp.loads.pushes), len(certificate.contacts), 2))
-    tried = [assessed(grasp.stiffness, grasp.loads, start, 0.0, no_slips, SqueezeSettings())]
+    best = None
+    for squeeze in _squeezes(grasp, start, squeezes):
+        foretold = foretold_motion(grasp, squeeze.f)
+        if best is None or foretold < best.foretold:
+            best = HoldingSqueeze(squeeze, foretold, grasp.spread)
+        if foretold <= SURE:
+            break
+    assert best is not None
+    return best
+
+
+def _squeezes(grasp: ElasticGrasp, start: Array, squeezes: Sequence[SqueezeSettings]) -> Iterator[PassiveSqueeze]:
+    """Squeezes to choose from, the one that is most often the best first, the certificate's own forces last."""
     for settings in squeezes:
         found = passive_squeeze(grasp.stiffness, grasp.loads, start, settings)
         if found.status == "solved":
-            tried.append(found)
-    foretold = [foretold_motion(grasp, squeeze.f) for squeeze in tried]
-    best = int(np.argmin(foretold))
-    return HoldingSqueeze(tried[best], foretold[best], grasp.spread)
+            yield found
+    no_slips = np.zeros((len(grasp.loads.pushes), len(grasp.loads.map.mus), 2))
+    yield assessed(grasp.stiffness, grasp.loads, start, 0.0, no_slips, SqueezeSettings())
 
 
 def foretold_motion(grasp: ElasticGrasp, f: Array, test: HoldTest | None = None) -> float:
