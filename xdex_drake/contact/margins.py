@@ -27,7 +27,6 @@ from xdex_drake.contact.grasp_map import Effort, GraspMap, effort_limits
 from xdex_drake.contact.hull import GrowingHull
 from xdex_drake.errors import ConfigError
 
-
 ROUNDING = 1e-9
 """Ball margin below which a wrench set does not hold 0 in its interior."""
 
