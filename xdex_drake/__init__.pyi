@@ -59,6 +59,10 @@ from .programs.program import GraspProgram as GraspProgram
 from .programs.retargeting import retargeting_program as retargeting_program
 from .programs.solve import ProgramResult as ProgramResult
 from .programs.solve import solve as solve
+from .retargeting.clip import reach_grasp_lift as reach_grasp_lift
+from .retargeting.hand_retargeter import Following as Following
+from .retargeting.hand_retargeter import HandRetargeter as HandRetargeter
+from .retargeting.keypoints import read_points as read_points
 from .scene.camera import camera_poses as camera_poses
 from .scene.camera import can_see as can_see
 from .scene.camera import depth_cloud as depth_cloud

@@ -197,9 +197,9 @@ def in_drake(case: Case, step: float) -> tuple[Lift, float, float]:
     protocol = replace(case.protocol, plant=replace(case.protocol.plant, time_step=step))
     rig = drake.shared_rig(case.hand, case.scene, protocol=protocol)
     verdict = drake.simulate_lift(rig, case.grasp)
-    context = rig.bench.plant.GetMyContextFromRoot(rig.simulator.get_context())
-    results = rig.bench.plant.get_contact_results_output_port().Eval(context)
-    links, body = {link.index() for link in rig.bench.links}, rig.bench.object_body.index()
+    context = rig.scene_plant.plant.GetMyContextFromRoot(rig.simulator.get_context())
+    results = rig.scene_plant.plant.get_contact_results_output_port().Eval(context)
+    links, body = {link.index() for link in rig.scene_plant.links}, rig.scene_plant.object_body.index()
     depth, force = 0.0, 0.0
     for k in range(results.num_point_pair_contacts()):
         info = results.point_pair_contact_info(k)

@@ -77,17 +77,17 @@ def read_fact(rig: "LiftRig", grasp: "Grasp") -> "tuple[str, str, float, float, 
     from xdex_drake.scene.distance import sample_surface
     from xdex_drake.simulation.drake import simulate_lift
 
-    bench, protocol, hand = rig.bench, rig.protocol, rig.bench.hand
-    assert bench.object_body is not None and bench.scene is not None
+    scene_plant, protocol, hand = rig.scene_plant, rig.protocol, rig.scene_plant.hand
+    assert scene_plant.object_body is not None and scene_plant.scene is not None
     assert grasp.X_WH_pregrasp is not None and grasp.q_pregrasp is not None
-    plant, body, model = bench.plant, bench.object_body, bench.scene.object
+    plant, body, model = scene_plant.plant, scene_plant.object_body, scene_plant.scene.object
     times, object_poses, link_poses = [], [], []
 
     def record(root: "Context") -> EventStatus:
         context = plant.GetMyContextFromRoot(root)
         times.append(root.get_time())
         object_poses.append(plant.EvalBodyPoseInWorld(context, body))
-        link_poses.append([plant.EvalBodyPoseInWorld(context, link) for link in bench.links])
+        link_poses.append([plant.EvalBodyPoseInWorld(context, link) for link in scene_plant.links])
         return EventStatus.DidNothing()
 
     rig.simulator.set_monitor(record)

@@ -65,15 +65,15 @@ def held(rig: "LiftRig", grasp: "Grasp") -> tuple[bool, str, float]:
 
     from xdex_drake.simulation.drake import simulate_lift
 
-    bench, protocol, seen = rig.bench, rig.protocol, []
-    body, scene = bench.object_body, bench.scene
+    scene_plant, protocol, seen = rig.scene_plant, rig.protocol, []
+    body, scene = scene_plant.object_body, scene_plant.scene
     assert body is not None and scene is not None
 
     def monitor(root: "Context") -> EventStatus:
         if root.get_time() >= protocol.duration_s - 1.5:
-            context = bench.plant.GetMyContextFromRoot(root)
-            X_HO = bench.plant.EvalBodyPoseInWorld(context, bench.links[0]).inverse() @ (
-                bench.plant.EvalBodyPoseInWorld(context, body)
+            context = scene_plant.plant.GetMyContextFromRoot(root)
+            X_HO = scene_plant.plant.EvalBodyPoseInWorld(context, scene_plant.links[0]).inverse() @ (
+                scene_plant.plant.EvalBodyPoseInWorld(context, body)
             )
             seen.append((root.get_time(), *(X_HO @ scene.object.p_OOcm)))
         return EventStatus.DidNothing()

@@ -48,15 +48,15 @@ def read_reason(rig: "LiftRig", grasp: "Grasp") -> tuple[str, str, float, float]
     from xdex_drake.scene.distance import sample_surface
     from xdex_drake.simulation.drake import simulate_lift
 
-    bench, protocol, hand = rig.bench, rig.protocol, rig.bench.hand
-    plant, model = bench.plant, bench.scene.object
-    link_of = {int(body.index()): k for k, body in enumerate(bench.links)}
-    thing, world = int(bench.object_body.index()), int(plant.world_body().index())
+    scene_plant, protocol, hand = rig.scene_plant, rig.protocol, rig.scene_plant.hand
+    plant, model = scene_plant.plant, scene_plant.scene.object
+    link_of = {int(body.index()): k for k, body in enumerate(scene_plant.links)}
+    thing, world = int(scene_plant.object_body.index()), int(plant.world_body().index())
     times, heights, on_object, on_table = [], [], [], []
 
     def record(root: "Context") -> EventStatus:
         context = plant.GetMyContextFromRoot(root)
-        X_WO = plant.EvalBodyPoseInWorld(context, bench.object_body)
+        X_WO = plant.EvalBodyPoseInWorld(context, scene_plant.object_body)
         results = plant.get_contact_results_output_port().Eval(context)
         touched, table = set(), set()
         for k in range(results.num_point_pair_contacts()):

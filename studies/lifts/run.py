@@ -39,16 +39,16 @@ def lift_with_gauges(rig: "LiftRig", grasp: "Grasp") -> "tuple[Lift, float, floa
 
     from xdex_drake.simulation.drake import simulate_lift
 
-    bench, protocol = rig.bench, rig.protocol
-    plant = bench.plant
+    scene_plant, protocol = rig.scene_plant, rig.protocol
+    plant = scene_plant.plant
     begin = protocol.close_s + protocol.squeeze_s + protocol.rise_s
     seen = []
 
     def monitor(root: "Context") -> EventStatus:
         if root.get_time() >= begin:
             context = plant.GetMyContextFromRoot(root)
-            wrist = plant.EvalBodyPoseInWorld(context, bench.links[0])
-            seen.append(wrist.inverse() @ plant.EvalBodyPoseInWorld(context, bench.object_body).translation())
+            wrist = plant.EvalBodyPoseInWorld(context, scene_plant.links[0])
+            seen.append(wrist.inverse() @ plant.EvalBodyPoseInWorld(context, scene_plant.object_body).translation())
         return EventStatus.DidNothing()
 
     rig.simulator.set_monitor(monitor)
@@ -61,7 +61,7 @@ def lift_with_gauges(rig: "LiftRig", grasp: "Grasp") -> "tuple[Lift, float, floa
     context = plant.GetMyContextFromRoot(rig.simulator.get_context())
     results = plant.get_contact_results_output_port().Eval(context)
     infos = [results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts())]
-    links, body = {link.index() for link in bench.links}, bench.object_body.index()
+    links, body = {link.index() for link in scene_plant.links}, scene_plant.object_body.index()
     normal = sum(
         abs(info.contact_force() @ info.point_pair().nhat_BA_W)
         for info in infos

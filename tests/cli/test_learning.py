@@ -26,7 +26,7 @@ def pairs(tmp_path_factory):
     """A data set whose grasps hover above the can: what training reads, without hours of lifts."""
     folder = tmp_path_factory.mktemp("learning") / "pairs"
     scene = make_scene(load_object("can"))
-    facts = object_facts(scene.object, "can")
+    facts = object_facts(scene.object)
     open_dataset(folder, Manifest(config={}, seed=0, units=("a",), versions={}, digests={}))
     rows = []
     for k in range(4):

@@ -13,9 +13,10 @@ from xdex_drake.hand.library import load_hand
 from xdex_drake.problems.files import Problem, list_problems, load_any_problem, load_problem
 from xdex_drake.problems.solve import solve_problem
 from xdex_drake.problems.wrench import WrenchProblem, solve_wrench_problem
-from xdex_drake.programs.force_closure import PolishSettings
+from xdex_drake.programs.force_closure import PolishSettings, force_closure_program
 from xdex_drake.programs.grasp_types import contact_slots
 from xdex_drake.programs.obstacles import CONSTRAINT_WORDS, find_obstacles, largest_opening, sizes
+from xdex_drake.programs.search import SearchSettings
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 
@@ -121,6 +122,14 @@ def test_an_opening_is_reached_by_some_posture_and_passed_by_none():
     assert opening == pytest.approx(largest_opening(hand, slots, radius=radius, seed=1), abs=2e-3)
     assert 0.1 < opening < 0.3
     assert f"{1e3 * (opening - 2 * radius):.0f} mm apart" in sizes(hand, make_scene(load_object("can")))
+
+
+def test_every_constraint_of_our_programs_has_its_words():
+    settings = SearchSettings(approach=(0.0, 0.0, -1.0), spread=0.02, iterations=5)
+    program = force_closure_program(
+        load_hand("allegro"), make_scene(load_object("can")), approach=settings.approach, search_settings=settings
+    )
+    assert {block.name for block in program.constraints} == set(CONSTRAINT_WORDS)
 
 
 def test_reasons_are_put_in_words():

@@ -7,6 +7,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from xdex_drake.contact.certificate import check_certificate
+from xdex_drake.grasping.finish import GIVEN
 from xdex_drake.grasping.idle import CLEARANCE, idle_fingers, idle_joints, rest_idle_fingers
 from xdex_drake.grasping.squeeze import contact_torques
 from xdex_drake.grasping.synthesis import SynthesisSettings, candidates_of_batch
@@ -55,7 +56,7 @@ def test_a_hand_that_touches_with_all_fingers_stays(scene):
 @pytest.mark.parametrize("name", ["allegro", "shadow"])
 def test_idle_fingers_come_near_and_collide_with_nothing(name, scene):
     hand = load_hand(name)
-    settings = replace(SynthesisSettings(), batch=24)
+    settings = replace(SynthesisSettings(), batch=24, demands=GIVEN)
     found = list(candidates_of_batch(hand, scene, seed=0, settings=settings, tally=Tally()))
     before, after = [], []
     for grasp in found:

@@ -20,21 +20,21 @@ def random_configuration(hand, rng):
 @pytest.mark.parametrize("name", list_hands())
 def test_link_poses_agree_with_drake(name):
     hand, rng = load_hand(name), np.random.default_rng(0)
-    bench = build_plant(hand)
-    context = bench.plant.GetMyMutableContextFromRoot(bench.diagram.CreateDefaultContext())
+    scene_plant = build_plant(hand)
+    context = scene_plant.plant.GetMyMutableContextFromRoot(scene_plant.diagram.CreateDefaultContext())
     batched = BatchedHand(hand, dtype=torch.float64)
     for _ in range(5):
         X_WH, q = random_configuration(hand, rng)
-        bench.set_wrist(context, X_WH)
-        bench.set_joints(context, q)
+        scene_plant.set_wrist(context, X_WH)
+        scene_plant.set_joints(context, q)
         k = Configuration.at(hand, X_WH, q)
         poses = batched.forward(
             torch.as_tensor(X_WH.rotation().matrix())[None],
             torch.as_tensor(X_WH.translation())[None],
             torch.as_tensor(q)[None],
         )
-        for link, body in enumerate(bench.links):
-            X_WL = bench.plant.EvalBodyPoseInWorld(context, body)
+        for link, body in enumerate(scene_plant.links):
+            X_WL = scene_plant.plant.EvalBodyPoseInWorld(context, body)
             assert np.abs(k.R_WLs[link] - X_WL.rotation().matrix()).max() < 1e-9
             assert np.abs(k.p_WLs[link] - X_WL.translation()).max() < 1e-9
             assert np.abs(poses.R_WLs[0, link].numpy() - X_WL.rotation().matrix()).max() < 1e-9

@@ -9,7 +9,7 @@ import torch
 from xdex_drake.errors import CheckpointError
 from xdex_drake.learning.checkpoint import checkpoint_header, load_checkpoint, save_checkpoint
 from xdex_drake.learning.models.cvae import CVAE, CVAEConfig
-from xdex_drake.learning.predict import encode, retarget, sample
+from xdex_drake.learning.predict import encode, neural_retarget, sample
 
 SMALL = CVAEConfig(width=16, heads=2, latent=4, object_channels=(4, 6), decoder_layers=1)
 
@@ -163,10 +163,10 @@ def test_neural_retargeting(model, training_set):
     source, target = training_set.hands
     scene = training_set.scenes[grasps.scene[0]]
     arguments = scene, grasps.R_WLs[:1], grasps.p_WLs[:1], grasps.p_WPoints[:1]
-    carried = retarget(model, source, target, *arguments)
+    carried = neural_retarget(model, source, target, *arguments)
     assert carried.R_WLs.shape == (1, len(target.link_names), 3, 3)
     mean, index = encode(model, source, *arguments)
     np.testing.assert_allclose(carried.latents, mean, atol=1e-6)
     np.testing.assert_allclose(scene.points[index] + scene.p_WCenter, grasps.p_WPoints[:1], atol=5e-3)
     # The decoder sees the mean, not a draw: the same call repeats, and a prediction re-encodes to the same point.
-    np.testing.assert_array_equal(retarget(model, source, target, *arguments).p_WLs, carried.p_WLs)
+    np.testing.assert_array_equal(neural_retarget(model, source, target, *arguments).p_WLs, carried.p_WLs)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xdex_drake.errors import ProblemFileError
+from xdex_drake.errors import ConfigError, ProblemFileError
 from xdex_drake.hand.library import load_hand
 from xdex_drake.problems.files import load_problem
-from xdex_drake.programs.force_closure import PolishSettings, polish_program, wishes
+from xdex_drake.programs.force_closure import PolishSettings, conditions, polish_program, program_of_candidate, wishes
 from xdex_drake.programs.grasp_types import (
     GraspType,
     approach_axis,
@@ -16,7 +16,8 @@ from xdex_drake.programs.grasp_types import (
     random_contact_sets,
 )
 from xdex_drake.programs.search import SearchSettings, evaluate, sample_starts, search, search_problem, turned_towards
-from xdex_drake.programs.terms.approach import approach_cost
+from xdex_drake.programs.solve import solve
+from xdex_drake.programs.terms.approach import approach_block
 from xdex_drake.programs.terms.spread import spread_cost
 
 ABOVE = (0.0, 0.0, -1.0)
@@ -79,8 +80,10 @@ def test_the_search_obeys(kind, allegro, can_scene):
         found.fingers[0],
         settings=PolishSettings(),
         extra_costs=wishes(settings),
+        extra_constraints=conditions(settings),
     )
-    assert {"approach", "spread"} <= {cost.name for cost in program.costs}
+    assert "spread" in {cost.name for cost in program.costs}
+    assert "palm direction" in {block.name for block in program.constraints}
     links = [allegro.links[link].name for link in program.contacts.links]
     assert (allegro.links[0].name in links) == (kind == "power")
     assert len(links) == found.fingers[0].sum()
@@ -126,16 +129,51 @@ def test_the_gradient_of_the_wishes_agrees_with_differences(allegro, can_scene):
 def test_costs_in_a_program_agree_with_differences(allegro, can_scene):
     found = search(allegro, can_scene, count=4, seed=1, settings=replace(SearchSettings(), iterations=40))
     program = polish_program(allegro, can_scene, *_start(found), found.fingers[0])
-    program.add(approach_cost((1.0, 0.2, 0.0)))
     program.add(spread_cost(0.1))
     rng = np.random.default_rng(0)
     point = program.start
-    for cost in program.costs[-2:]:
+    for cost in program.costs[-1:]:
         assert cost.value(point) > 0.0
         step = np.concatenate([rng.normal(size=6 + len(point.k.q)), np.zeros(point.forces.size)])
         h = 1e-6
         slope = (cost.value(point.moved(h * step)) - cost.value(point.moved(-h * step))) / (2 * h)
         assert cost.gradient(point) @ step == pytest.approx(slope, rel=1e-4, abs=1e-4)
+
+
+def test_the_palm_keeps_within_its_cone(allegro, can_scene):
+    aside, least = (1.0, 0.2, -0.3), 0.98
+    settings = replace(SearchSettings(), approach=aside, approach_cosine=least)
+    found, solved = search(allegro, can_scene, count=40, seed=0, settings=settings), 0
+    for row in range(len(found.energy)):
+        program = program_of_candidate(allegro, can_scene, found, row, asked=settings)
+        result = solve(program)
+        if not result.success:
+            continue
+        solved += 1
+        palm = result.point.k.X_WH.rotation() @ approach_axis(allegro)[1]
+        angle = np.arccos(palm @ np.array(aside) / np.linalg.norm(aside))
+        assert angle < np.arccos(least) + 2e-3
+    assert solved >= 3
+
+
+def test_the_cone_agrees_with_differences_and_refuses_what_is_no_direction(allegro, can_scene):
+    found = search(allegro, can_scene, count=4, seed=1, settings=replace(SearchSettings(), iterations=40))
+    program = program_of_candidate(allegro, can_scene, found, 0)
+    block, h = approach_block((1.0, 0.2, 0.0)), 1e-6
+    step = np.random.default_rng(0).normal(size=program.start.size)
+    ahead, behind = (block.at(program.start.moved(sign * h * step))[0] for sign in (1.0, -1.0))
+    assert block.at(program.start)[1] @ step == pytest.approx((ahead - behind) / (2 * h), rel=1e-6)
+    # Radians to the cone's surface: a palm that stands across misses a cone of 20 degrees by more than one.
+    palm = program.start.k.X_WH.rotation() @ approach_axis(allegro)[1]
+    across = np.cross(palm, [0.0, 0.0, 1.0])
+    assert approach_block(across).violation(program.start) == pytest.approx(0.94 / np.sqrt(1.0 - 0.94**2))
+    for wrong in ((0.0, 0.0, 0.0), (0.0, 1.0), (np.nan, 0.0, 1.0)):
+        with pytest.raises(ConfigError, match="three numbers"):
+            SearchSettings(approach=wrong)
+    with pytest.raises(ConfigError, match="below the table"):
+        SearchSettings(approach=(0.0, 0.0, 1.0))
+    with pytest.raises(ConfigError, match="between -1 and 1"):
+        approach_block(ABOVE, least=1.0)
 
 
 def test_problem_files_take_them(tmp_path):

@@ -132,7 +132,7 @@ def test_a_shared_rig_gives_the_same_numbers(grasps, verdicts, hand, scene):
 
 def test_the_sources_play_the_targets(rig, grasps):
     simulate_lift(rig, grasps[0])
-    context = rig.bench.diagram.CreateDefaultContext()
+    context = rig.scene_plant.diagram.CreateDefaultContext()
     for t in np.linspace(0.0, LIFT.duration_s, 50):
         context.SetTime(max(t - LIFT.plant.time_step, 0.0))
         q, offset = targets(grasps[0], LIFT, max(t, LIFT.plant.time_step))

@@ -81,7 +81,7 @@ def test_frogger_shakes_by_3_mm_while_it_rises(grasps, hand, scene):
             np.testing.assert_array_equal(offset, 0.0)
     rig = lift_rig(hand, scene, protocol=replace(FROGGER_LIFT, rise_s=0.4, hold_s=0.0))
     simulate_lift(rig, grasps[0])
-    context = rig.bench.diagram.CreateDefaultContext()
+    context = rig.scene_plant.diagram.CreateDefaultContext()
     t = begin + 0.35
     context.SetTime(t - 1e-3)
     played = rig.carriage_source.get_output_port().Eval(rig.carriage_source.GetMyContextFromRoot(context))

@@ -298,9 +298,9 @@ def _draw_hand(meshcat: Meshcat, hand: Hand) -> None:
     def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
 
-    bench = build_plant(hand, extend=extend)
-    context = bench.diagram.CreateDefaultContext()
-    plant_context = bench.plant.GetMyMutableContextFromRoot(context)
-    bench.set_joints(plant_context, hand.q_rest)
-    bench.set_wrist(plant_context, RigidTransform())
-    bench.diagram.ForcedPublish(context)
+    scene_plant = build_plant(hand, extend=extend)
+    context = scene_plant.diagram.CreateDefaultContext()
+    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(context)
+    scene_plant.set_joints(plant_context, hand.q_rest)
+    scene_plant.set_wrist(plant_context, RigidTransform())
+    scene_plant.diagram.ForcedPublish(context)

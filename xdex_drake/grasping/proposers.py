@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
-from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
+from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import RETRY, RetrySettings, refined_start, retargeting_program, retried_starts
 from xdex_drake.programs.search import SearchSettings, search
@@ -75,8 +75,7 @@ class Search:
         start = time.perf_counter()
         found = search(hand, scene, count=count, seed=seed, settings=self.settings)
         share = (time.perf_counter() - start) / count
-        costs = wishes(self.settings)
-        build = partial(program_of_candidate, hand, scene, found, settings=self.polish, extra_costs=costs)
+        build = partial(program_of_candidate, hand, scene, found, settings=self.polish, asked=self.settings)
         for row in range(len(found.energy)):
             yield Candidate(str(row), lambda row=row: iter((build(row),)), share)
 

@@ -132,22 +132,23 @@ def certified_grasps(
 
 
 def settings_of_batch(settings: SynthesisSettings, batch: int) -> SynthesisSettings:
-    """Settings of a batch of a run: every third one is lenient about friction.
+    """Settings of a batch of a run: every third one is lenient about friction and pushes.
 
-    Some shapes, a cone on its base for one, cannot be held with half of the friction to spare. The rule depends on the
-    batch's number alone, so that batches can be spread over processes.
+    Some shapes, a cone on its base for one, cannot be held with half of the friction to spare, and some by no grasp
+    that bears pushes. The rule depends on the batch's number alone, so that batches can be spread over processes.
 
     Args:
         settings: Settings of the run.
         batch: Number of the batch, from 0.
 
     Returns:
-        The settings, in every third batch with the polish's default friction and all squeezes.
+        The settings, in every third batch with the polish's default friction, all squeezes, and whatever is foretold.
     """
     if batch % LENIENT_EVERY < LENIENT_EVERY - 1:
         return settings
     polish = replace(settings.polish, friction_fraction=PolishSettings().friction_fraction)
-    return replace(settings, polish=polish, demands=replace(settings.demands, squeezes=GIVEN.squeezes))
+    demands = replace(settings.demands, squeezes=GIVEN.squeezes, foretold=GIVEN.foretold)
+    return replace(settings, polish=polish, demands=demands)
 
 
 def batch_seed(seed: int, batch: int) -> int:

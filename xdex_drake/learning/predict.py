@@ -99,7 +99,7 @@ def encode(
     return latents.double().cpu().numpy(), indices
 
 
-def retarget(
+def neural_retarget(
     model: LatentModel,
     source: HandFeatures,
     target: HandFeatures,

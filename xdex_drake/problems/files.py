@@ -14,12 +14,12 @@ from typing import Literal
 import yaml
 
 from xdex_drake.data_files import data_folder
-from xdex_drake.errors import ProblemFileError
+from xdex_drake.errors import ConfigError, ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import load_hand
 from xdex_drake.problems.wrench import WrenchProblem
-from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate, wishes
+from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
 from xdex_drake.programs.grasp_types import GraspType
 from xdex_drake.programs.obstacles import Obstacle
 from xdex_drake.programs.program import GraspProgram
@@ -130,7 +130,8 @@ class Problem:
             best first, until one reaches the goals.
         contacts: Greatest number of fingers that touch.
         grasp_type: Type of grasp: any, pinch, tripod or power.
-        approach: Direction that the palm shall come along, in W; [0, 0, -1] is from above; any where it is left out.
+        approach: Direction that the palm comes along, in W, within 20 degrees; [0, 0, -1] is from above; any where it
+            is left out.
         spread: Distance that contact points shall keep from each other [m].
         weights: Weights of the search's energy, Eq. (1).
         polish: Weights of the program's costs and numbers of its constraints.
@@ -172,10 +173,10 @@ class Problem:
         if (self.program == "force_closure") != (self.source is None):
             need = "needs a source; name its problem" if self.source is None else "takes no source; leave it out"
             raise ProblemFileError(f"program {self.program} {need}")
-        if self.approach is not None and (len(self.approach) != 3 or not any(self.approach)):
-            raise ProblemFileError(
-                f"approach is {list(self.approach)}; give three numbers, such as [0, 0, -1] from above"
-            )
+        try:
+            SearchSettings(approach=self.approach)
+        except ConfigError as error:
+            raise ProblemFileError(str(error)) from None
         if not 0.0 <= self.spread < 0.5:
             raise ProblemFileError(f"spread is {self.spread} m; give a distance between 0 and 0.5")
         if self.jitter < 0.0:
@@ -285,6 +286,5 @@ def force_closure_programs(problem: Problem, hand: Hand, scene: Scene) -> Iterat
         spread=problem.spread,
     )
     found = search(hand, scene, count=problem.starts, seed=problem.seed, settings=settings)
-    costs = wishes(settings)
     for row in range(len(found.energy)):
-        yield program_of_candidate(hand, scene, found, row, settings=problem.polish, extra_costs=costs)
+        yield program_of_candidate(hand, scene, found, row, settings=problem.polish, asked=settings)

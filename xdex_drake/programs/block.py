@@ -16,8 +16,9 @@ from xdex_drake.programs.point import Point
 MM = 1e3
 """Millimetres in a metre: the unit of distance rows."""
 
-TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2}
-"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards."""
+TOLERANCES = {"mm": 0.2, "m g": 2e-2, "rad": 1e-3, "-": 2e-2, "own": 2e-4}
+"""Greatest violation that counts as satisfied, by the unit of a block; forces are balanced exactly afterwards. What
+users add to a program themselves is in their `own` unit, and held as closely as metres are."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +49,17 @@ class Block:
 
     def at(self, point: Point) -> tuple[Array, Array]:
         """What `evaluate` gives, computed once for a point: solvers ask for values first and for derivatives later."""
-        if self.name not in point.memo:
-            point.memo[self.name] = self.evaluate(point)
-        return point.memo[self.name]
+        if self.evaluate not in point.memo:
+            point.memo[self.evaluate] = self.evaluate(point)
+        return point.memo[self.evaluate]
 
     def rows(self, point: Point) -> tuple[Array, Array, Array, Array]:
         """What the sequential solver linearises: g, its Jacobian, lower and upper bounds."""
         if self.inner is None:
             return (*self.at(point), self.lower, self.upper)
-        key = f"{self.name} inner"
-        if key not in point.memo:
-            point.memo[key] = self.inner(point)
-        g, J = point.memo[key]
+        if self.inner not in point.memo:
+            point.memo[self.inner] = self.inner(point)
+        g, J = point.memo[self.inner]
         return g, J, np.zeros(len(g)), np.full(len(g), np.inf)
 
     def violation(self, point: Point) -> float:

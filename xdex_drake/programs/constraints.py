@@ -1,6 +1,7 @@
 """Constraints of the grasp programs; each lives beside the energy term that wishes the same."""
 
 from xdex_drake.programs.block import MM, TOLERANCES, Block
+from xdex_drake.programs.terms.approach import approach_block
 from xdex_drake.programs.terms.contact import contact_block
 from xdex_drake.programs.terms.force_closure import cone_block, normal_force_block, wrench_block
 from xdex_drake.programs.terms.joint_limits import limit_block
@@ -12,6 +13,7 @@ __all__ = [
     "MM",
     "TOLERANCES",
     "Block",
+    "approach_block",
     "cone_block",
     "contact_block",
     "limit_block",

@@ -13,6 +13,9 @@ from xdex_drake.programs.point import Point
 from xdex_drake.programs.point_view import PointView
 from xdex_drake.programs.term import Term, evaluate_term
 
+CURVATURE = 1e-2
+"""Curvature of costs that do not know theirs, in all directions of the tangent: steps stay bounded."""
+
 
 @dataclass(frozen=True)
 class LeastSquares:
@@ -32,10 +35,9 @@ class LeastSquares:
 
     def at(self, point: Point) -> tuple[Array, Array]:
         """What `evaluate` gives, computed once for a point."""
-        key = f"cost {self.name}"
-        if key not in point.memo:
-            point.memo[key] = self.evaluate(point)
-        return point.memo[key]
+        if self.evaluate not in point.memo:
+            point.memo[self.evaluate] = self.evaluate(point)
+        return point.memo[self.evaluate]
 
     def value(self, point: Point) -> float:
         """The cost at a point."""
@@ -46,6 +48,11 @@ class LeastSquares:
         """Gradient with respect to the tangent, shape (size,)."""
         r, J = self.at(point)
         return self.weight * (r @ J)
+
+    def curvature(self, point: Point) -> Array:
+        """Gauss-Newton's approximation of the Hessian, shape (size, size)."""
+        _, J = self.at(point)
+        return self.weight * J.T @ J
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,10 @@ class UserCost:
             step[k] = h
             gradient[k] = (self.function(point.k.moved(step)) - self.function(point.k.moved(-step))) / (2.0 * h)
         return self.weight * gradient
+
+    def curvature(self, point: Point) -> Array:
+        """A bounded step's Hessian, shape (size, size)."""
+        return CURVATURE * np.eye(point.size)
 
 
 @dataclass(frozen=True)
@@ -119,6 +130,10 @@ class EnergyCost:
         """Gradient with respect to the tangent, shape (size,)."""
         return self.weight * self.at(point)[1]
 
+    def curvature(self, point: Point) -> Array:
+        """A bounded step's Hessian, shape (size, size)."""
+        return CURVATURE * np.eye(point.size)
+
 
 Cost = LeastSquares | UserCost | EnergyCost
 
@@ -136,7 +151,7 @@ def energy_at(term: Term, point: Point) -> tuple[float, Array]:
     view = PointView.of(point)
     value, gradients = evaluate_term(term, view)
     gradient = np.zeros(point.size)
-    gradient[: point.moving] = view.pull_back([(1.0, gradients)])
+    gradient[: point.moving] = view.pull_back(gradients)
     return float(value), gradient
 
 

@@ -18,7 +18,6 @@ from xdex_drake.programs.point import ContactSet, Point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import Candidates, SearchSettings, search
 from xdex_drake.programs.spheres import sphere_pairs
-from xdex_drake.programs.terms.approach import approach_cost
 from xdex_drake.programs.terms.spread import spread_cost
 from xdex_drake.scene.tabletop import Scene
 
@@ -225,6 +224,7 @@ def polish_program(
     *,
     settings: PolishSettings | None = None,
     extra_costs: tuple[Cost, ...] = (),
+    extra_constraints: tuple[constraints.Block, ...] = (),
     name: str = "force closure",
 ) -> GraspProgram:
     """The force-closure program from a given start.
@@ -237,6 +237,7 @@ def polish_program(
         fingers: Which fingers shall touch, in the order of `hand.fingers`, and where there is one more, the palm.
         settings: Numbers; the defaults where None.
         extra_costs: Costs beside posture and effort.
+        extra_constraints: Constraints beside those of every force-closure program.
         name: Name of the program.
 
     Returns:
@@ -248,7 +249,8 @@ def polish_program(
     start = Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3)))
     start = Point(k, scene, contacts, start.normals_W * settings.least_force)
     costs = (posture_cost(start, settings.posture), effort_cost(settings.effort), *extra_costs)
-    return GraspProgram(name, start, costs, (*feasibility_blocks(start, settings), *wrench_blocks(start, settings)))
+    blocks = (*feasibility_blocks(start, settings), *wrench_blocks(start, settings), *extra_constraints)
+    return GraspProgram(name, start, costs, blocks)
 
 
 def force_closure_program(
@@ -270,7 +272,7 @@ def force_closure_program(
         scene: The scene.
         contacts: Greatest number of fingers that touch.
         grasp_type: Type of grasp.
-        approach: Direction that the palm shall come along, in W; any where None.
+        approach: Direction that the palm comes along, in W, within the cone of the search's settings; any where None.
         seed: Seed of the search.
         starts: Number of candidates of the search.
         search_settings: Settings of the search; the defaults where None.
@@ -281,17 +283,19 @@ def force_closure_program(
     """
     chosen = replace(search_settings or SearchSettings(), contacts=contacts, grasp_type=grasp_type, approach=approach)
     found = search(hand, scene, count=starts, seed=seed, settings=chosen)
-    return program_of_candidate(hand, scene, found, 0, settings=settings, extra_costs=wishes(chosen))
+    return program_of_candidate(hand, scene, found, 0, settings=settings, asked=chosen)
 
 
 def wishes(settings: SearchSettings) -> tuple[Cost, ...]:
-    """Costs that hold a polish to what its search was asked for beside a grasp: approach and spread."""
-    costs: list[Cost] = []
-    if settings.approach is not None:
-        costs.append(approach_cost(settings.approach, least=settings.approach_cosine))
-    if settings.spread > 0.0:
-        costs.append(spread_cost(settings.spread))
-    return tuple(costs)
+    """Costs of a polish whose search was asked for more than a grasp: spread, as far as it goes."""
+    return (spread_cost(settings.spread),) if settings.spread > 0.0 else ()
+
+
+def conditions(settings: SearchSettings) -> tuple[constraints.Block, ...]:
+    """Constraints of a polish whose search was asked for more than a grasp: the palm's direction is kept."""
+    if settings.approach is None:
+        return ()
+    return (constraints.approach_block(settings.approach, least=settings.approach_cosine),)
 
 
 def program_of_candidate(
@@ -301,7 +305,7 @@ def program_of_candidate(
     row: int,
     *,
     settings: PolishSettings | None = None,
-    extra_costs: tuple[Cost, ...] = (),
+    asked: SearchSettings | None = None,
 ) -> GraspProgram:
     """The force-closure program that polishes one candidate of a search.
 
@@ -311,12 +315,20 @@ def program_of_candidate(
         found: Candidates.
         row: Which one.
         settings: Numbers; the defaults where None.
-        extra_costs: Costs beside posture and effort, such as `wishes` of the search's settings.
+        asked: Settings of the search, whose `wishes` and `conditions` the program takes over; none where None.
 
     Returns:
         The program.
     """
     X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(found.R_WHs[row]), found.p_WHs[row])
+    asked = asked or SearchSettings()
     return polish_program(
-        hand, scene, X_WH, found.qs[row], found.fingers[row], settings=settings, extra_costs=extra_costs
+        hand,
+        scene,
+        X_WH,
+        found.qs[row],
+        found.fingers[row],
+        settings=settings,
+        extra_costs=wishes(asked),
+        extra_constraints=conditions(asked),
     )

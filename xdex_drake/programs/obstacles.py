@@ -240,6 +240,7 @@ CONSTRAINT_WORDS = {
     "pad": "fingers touch with their backs or sides, not with their pads",
     "wrench": "contact forces do not balance the object's weight",
     "cone": "friction is too low for the forces that would balance the object's weight",
+    "palm direction": "the palm cannot come along the direction that was asked for",
     "normal force": "contacts would have to press harder, or more lightly, than allowed",
 }
 """What it means that a constraint is left violated, for people."""

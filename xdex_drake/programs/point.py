@@ -49,7 +49,8 @@ class Point:
         scene: The scene.
         contacts: The contact set.
         forces: Forces on the object, in W, in units of the object's weight, shape (nc, 3).
-        memo: What was computed at this point, by name: values and Jacobians of costs and constraint blocks, its view.
+        memo: What was computed at this point, by name or by the function that did: values and Jacobians of costs and
+            constraint blocks, its view.
         known: Centers of all spheres [m], shape (n_spheres, 3), and lower bounds of their gaps [m], shape (n_spheres,),
             at the point from which this one was moved; None where there is none.
     """
@@ -58,7 +59,7 @@ class Point:
     scene: Scene
     contacts: ContactSet
     forces: Array
-    memo: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    memo: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
     known: tuple[Array, Array] | None = field(default=None, compare=False, repr=False)
 
     @property

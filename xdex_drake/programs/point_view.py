@@ -18,7 +18,7 @@ from xdex_drake.programs.contact_forces import FORCE_FRICTION, relaxed_forces
 from xdex_drake.programs.grasp_types import approach_axis, contact_slots, finger_tips
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.spheres import PAIR_SPACING, search_spheres, sphere_pairs
-from xdex_drake.programs.term import Pulls, total_pull
+from xdex_drake.programs.term import Pulls, carried
 
 FORCE_STEPS = 50
 """Steps towards the forces of least unbalanced wrench, from the normals at every point anew; a thousand lower the
@@ -170,7 +170,7 @@ class PointView:
         """Gradient with respect to the configuration from gradients with respect to what the view offers.
 
         Args:
-            pulls: Weights and gradients by name of several terms.
+            pulls: The gradients by name.
 
         Returns:
             Gradient with respect to (w_WH, v_WH, qdot), shape (6 + n,).
@@ -182,7 +182,7 @@ class PointView:
             ("p_WH", slice(3, 6), lambda g: g),
             ("q", slice(6, None), lambda g: g),
         ):
-            total = total_pull(pulls, name, through)
+            total = carried(pulls, name, through)
             if total is not None:
                 gradient[rows] += total
         return gradient
@@ -190,17 +190,17 @@ class PointView:
     def _of_points(self, pulls: Pulls) -> Array:
         """Of sphere centers and tips."""
         gradient = np.zeros(self.point.moving)
-        on_centers = total_pull(pulls, "centers_W")
-        on_distances = total_pull(pulls, "distances", lambda g: g[:, None] * self._query[1])
-        on_heights = total_pull(pulls, "heights", lambda g: g[:, None] * np.array([0.0, 0.0, 1.0]))
+        on_centers = carried(pulls, "centers_W")
+        on_distances = carried(pulls, "distances", lambda g: g[:, None] * self._query[1])
+        on_heights = carried(pulls, "heights", lambda g: g[:, None] * np.array([0.0, 0.0, 1.0]))
         for total in (on_centers, on_distances, on_heights):
             if total is not None:
                 gradient += self.point.pull_back_spheres(self._spheres, total).sum(0)
-        on_pairs = total_pull(pulls, "between_W")
+        on_pairs = carried(pulls, "between_W")
         if on_pairs is not None:
             rows = np.concatenate(self._pairs)
             gradient += self.point.pull_back_spheres(rows, np.concatenate([on_pairs, -on_pairs])).sum(0)
-        on_tips = total_pull(pulls, "tips_W")
+        on_tips = carried(pulls, "tips_W")
         if on_tips is not None:
             gradient += self.point.k.pull_back_each(finger_tips(self.hand)[0], self.tips_W, on_tips).sum(0)
         return gradient
@@ -208,16 +208,16 @@ class PointView:
     def _of_contacts(self, pulls: Pulls) -> Array:
         """Of contact points, normals, distances and pads."""
         point, gradient = self.point, np.zeros(self.point.moving)
-        on_points = total_pull(pulls, "contacts_W")
+        on_points = carried(pulls, "contacts_W")
         if on_points is not None:
             gradient += np.einsum("ka,kab->b", on_points, point.surface_jacobian)
-        on_normals = total_pull(pulls, "normals_W")
+        on_normals = carried(pulls, "normals_W")
         if on_normals is not None:
             gradient += np.einsum("ka,kab->b", on_normals, point.normal_jacobian)
-        on_distances = total_pull(pulls, "contact_distances", lambda g: g[:, None] * point.gap_gradients)
+        on_distances = carried(pulls, "contact_distances", lambda g: g[:, None] * point.gap_gradients)
         if on_distances is not None:
             gradient += np.einsum("ka,kab->b", on_distances, point.contact_jacobian)
-        on_pads = total_pull(pulls, "pads_W", lambda g: cross(self.pads_W, g))
+        on_pads = carried(pulls, "pads_W", lambda g: cross(self.pads_W, g))
         if on_pads is not None:
             gradient += np.einsum("ka,kab->b", on_pads, point.k.angular_jacobian(point.contacts.links))
         return gradient
@@ -226,10 +226,10 @@ class PointView:
         """Of the links' poses."""
         k, gradient = self.point.k, np.zeros(self.point.moving)
         links = np.arange(len(self.hand.links))
-        on_rotations = total_pull(pulls, "R_WLs", lambda g: rotation_pull(k.R_WLs, g))
+        on_rotations = carried(pulls, "R_WLs", lambda g: rotation_pull(k.R_WLs, g))
         if on_rotations is not None:
             gradient += np.einsum("ka,kab->b", on_rotations, k.angular_jacobian(links))
-        on_origins = total_pull(pulls, "p_WLs")
+        on_origins = carried(pulls, "p_WLs")
         if on_origins is not None:
             gradient += k.pull_back_each(links, k.p_WLs, on_origins).sum(0)
         return gradient

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import EvaluatorBase, MathematicalProgram
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.block import Block
 from xdex_drake.programs.costs import Cost, EnergyCost, LeastSquares, UserCost
+from xdex_drake.programs.foreign import Binding, ForeignCost, Variables, foreign_terms, split_autodiff
 from xdex_drake.programs.point import ContactSet, Point
 from xdex_drake.programs.term import Term
 from xdex_drake.scene.plant import ScenePlant, build_plant
@@ -76,12 +78,41 @@ def tangent_rates(x: Array) -> Array:
     return T
 
 
+def variable_rates(x: Array) -> Array:
+    """Matrix that turns the tangent into rates of the decision variables; the quaternion keeps its length.
+
+    Args:
+        x: Decision variables, shape (7 + n + 3 nc,).
+
+    Returns:
+        Matrix, shape (7 + n + 3 nc, 6 + n + 3 nc), of which `tangent_rates` is a left inverse.
+    """
+    N = np.zeros((len(x), len(x) - 1))
+    N[:3, 3:6] = np.eye(3)
+    N[3:7, :3] = 0.25 * (x[3:7] @ x[3:7]) * tangent_rates(x)[:3, 3:7].T
+    N[7:, 6:] = np.eye(len(x) - 7)
+    return N
+
+
+@dataclass(frozen=True)
+class ProgramTerms:
+    """All that a program holds, whoever added it.
+
+    Attributes:
+        costs: Costs.
+        constraints: Constraints.
+    """
+
+    costs: tuple[Cost | ForeignCost, ...]
+    constraints: tuple[Block, ...]
+
+
 class GraspProgram:
     """A named nonlinear program over a grasp.
 
-    Public and open: `prog` takes ordinary `AddCost` and `AddConstraint` on `X_WH`, `q` and `f`; `add_cost` takes a
-    function of the configuration; `plant` is the joint plant for a user's own Drake costs. `str(program)` is a table of
-    its costs and constraints.
+    Public and open: `prog` takes ordinary `AddCost` and `AddConstraint` on `X_WH`, `q` and `f`, which every solver
+    and its verdict see; `add_cost` takes a function of the configuration; `plant` is the joint plant for a user's own
+    Drake costs. `str(program)` is a table of its costs and constraints.
     """
 
     def __init__(self, name: str, start: Point, costs: tuple[Cost, ...], constraints: tuple[Block, ...]) -> None:
@@ -103,11 +134,14 @@ class GraspProgram:
         self.f: NDArray = self.prog.NewContinuousVariables(start.forces.size, "f")
         self.variables = np.concatenate([self.X_WH, self.q, self.f])
         self._evaluator = _Evaluator(start)
-        self.prog.AddQuadraticConstraint(
+        unit = self.prog.AddQuadraticConstraint(
             2.0 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]), np.zeros(7), 1.0, 1.0, self.X_WH
-        ).evaluator().set_description("unit quaternion")
-        limits = self.hand.limits
-        self.prog.AddBoundingBoxConstraint(limits[0], limits[1], self.q).evaluator().set_description("joint limits")
+        )
+        bounds = self.prog.AddBoundingBoxConstraint(self.hand.limits[0], self.hand.limits[1], self.q)
+        # What is in the program by us; all else was added by a user.
+        self._own: list[EvaluatorBase] = []
+        self._keep(unit, "unit quaternion")
+        self._keep(bounds, "joint limits")
         for cost in costs:
             self._add_cost(cost)
         for block in constraints:
@@ -146,7 +180,7 @@ class GraspProgram:
         self._add_cost(UserCost(name, weight, function))
 
     def add(self, cost: Cost | Term) -> None:
-        """Adds a cost, such as `approach_cost((0, 0, -1))`, or an energy term, seen by every solver.
+        """Adds a cost, such as `spread_cost(0.02)`, or an energy term, seen by every solver.
 
         Args:
             cost: The cost; a term is taken with its weight, as a search takes it.
@@ -154,13 +188,53 @@ class GraspProgram:
         self._add_cost(cost if isinstance(cost, LeastSquares | UserCost | EnergyCost) else EnergyCost(cost))
 
     def add_constraint(self, block: Block) -> None:
-        """Adds a constraint of the user's own, seen by every solver."""
+        """Adds a constraint, such as `approach_block((0, 0, -1))`, seen by every solver."""
         self._add_constraint(block)
 
+    def _keep(self, binding: Binding, description: str) -> None:
+        binding.evaluator().set_description(description)
+        self._own.append(binding.evaluator())
+
+    def terms(self, further: Array | None = None) -> ProgramTerms:
+        """Costs and constraints: ours, and those that a user added to `prog`.
+
+        Args:
+            further: Values of the decision variables that a user added to `prog`; those of its initial guess where
+                None.
+
+        Returns:
+            All of them. Those of `prog` have their descriptions as names, their makers' units, and derivatives by
+            Drake's AutoDiff.
+        """
+        rest = self.further_variables()
+        more = self.prog.GetInitialGuess(rest) if further is None else further
+
+        def values(point: Point) -> Array:
+            return np.concatenate([self.values(point), more])
+
+        def rates(point: Point) -> Array:
+            return np.concatenate([variable_rates(self.values(point)), np.zeros((len(more), point.size))])
+
+        names = [part.name for part in (*self.costs, *self.constraints)]
+        costs, constraints = foreign_terms(self.prog, self._own, names, Variables(values, rates))
+        return ProgramTerms((*self.costs, *costs), (*self.constraints, *constraints))
+
+    def further_variables(self) -> NDArray:
+        """Decision variables that a user added to `prog`."""
+        return self.prog.decision_variables()[len(self.variables) :]
+
+    def guess(self) -> Point:
+        """The initial guess of `prog`: the start, where a user set no other."""
+        x, at_start = self.prog.GetInitialGuess(self.variables), self.values(self.start)
+        x = np.where(np.isfinite(x), x, at_start)
+        return self.start if np.array_equal(x, at_start) else self.point(x)
+
     def values(self, point: Point) -> Array:
-        """Decision variables of a point, shape (7 + n + 3 nc,)."""
+        """Decision variables of a point, shape (7 + n + 3 nc,); of its two quaternions, that nearer to the start's."""
         X_WH = point.k.X_WH
         quaternion = X_WH.rotation().ToQuaternion().wxyz()
+        if quaternion @ self.start.k.X_WH.rotation().ToQuaternion().wxyz() < 0.0:
+            quaternion = -quaternion
         return np.concatenate([X_WH.translation(), quaternion, point.k.q, point.forces.ravel()])
 
     def point(self, x: Array) -> Point:
@@ -190,14 +264,14 @@ class GraspProgram:
         evaluator = self._evaluator
 
         def function(z: NDArray) -> object:
-            x, derivatives = _split(z)
+            x, derivatives = split_autodiff(z)
             value = cost.value(evaluator.point(x))
             if derivatives is None:
                 return value
             gradient = cost.gradient(evaluator.point(x)) @ tangent_rates(x)
             return AutoDiffXd(value, gradient @ derivatives)
 
-        self.prog.AddCost(function, self.variables).evaluator().set_description(cost.name)
+        self._keep(self.prog.AddCost(function, self.variables), cost.name)
 
     def _add_constraint(self, block: Block) -> None:
         self.constraints.append(block)
@@ -206,7 +280,7 @@ class GraspProgram:
         evaluator = self._evaluator
 
         def function(z: NDArray) -> NDArray:
-            x, derivatives = _split(z)
+            x, derivatives = split_autodiff(z)
             g, J = block.at(evaluator.point(x))
             if derivatives is None:
                 return g
@@ -215,20 +289,20 @@ class GraspProgram:
 
         # The quaternion's own bounds are in place already; joint limits too, for a solver that knows bounds.
         if block.name != "limits":
-            self.prog.AddConstraint(function, block.lower, block.upper, self.variables, description=block.name)
+            self._keep(self.prog.AddConstraint(function, block.lower, block.upper, self.variables), block.name)
 
     def table(self, point: Point | None = None) -> str:
         """A table of costs and constraints, with their values at a point (the initial guess where None)."""
-        point = self.start if point is None else point
+        point, terms = self.start if point is None else point, self.terms()
         lines = [
             f"{self.name}: {self.hand.name} on {self.scene.object.name}, {len(self.contacts.spheres)} contacts, "
             f"{self.prog.num_vars()} variables",
             f"  {'cost':<14}{'weight':>9}{'value':>12}  meaning",
         ]
-        for cost in self.costs:
+        for cost in terms.costs:
             lines.append(f"  {cost.name:<14}{cost.weight:>9.3g}{cost.value(point):>12.4g}  {cost.meaning}")
         lines.append(f"  {'constraint':<14}{'rows':>9}  {'violation':>12}  meaning")
-        for block in self.constraints:
+        for block in terms.constraints:
             violation = f"{block.violation(point):.3g} {block.unit}"
             lines.append(f"  {block.name:<14}{len(block.lower):>9}  {violation:>12}  {block.meaning}")
         return "\n".join(lines)
@@ -236,17 +310,3 @@ class GraspProgram:
     def __str__(self) -> str:
         """The table at the initial guess."""
         return self.table()
-
-
-def _split(z: NDArray) -> tuple[Array, Array | None]:
-    """Values and derivatives of what Drake passes to a Python cost: floats, or AutoDiffXd."""
-    if z.dtype != object:
-        return np.asarray(z, dtype=float), None
-    values = np.array([v.value() for v in z])
-    width = max(len(v.derivatives()) for v in z)
-    derivatives = np.zeros((len(z), width))
-    for row, v in zip(derivatives, z, strict=True):
-        d = v.derivatives()
-        if len(d):
-            row[:] = d
-    return values, derivatives

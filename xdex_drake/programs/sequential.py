@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array
+from xdex_drake.errors import ConfigError
 from xdex_drake.programs.constraints import TOLERANCES, Block
+from xdex_drake.programs.foreign import OWN_UNIT
 from xdex_drake.programs.point import Point
-from xdex_drake.programs.program import GraspProgram, LeastSquares
+from xdex_drake.programs.program import GraspProgram, ProgramTerms
 
 EQUALITY = 1e3
 """Penalty on squared violation of equalities."""
@@ -65,6 +67,7 @@ class _Rows:
         equal: Which rows are equalities, shape (m,).
         stiff: Penalty on squared violation of each, 0 for inequalities, shape (m,).
         loose: The same during the first half of the iterations, shape (m,).
+        far: Slack from which on a row is left out of a subproblem, shape (m,).
     """
 
     blocks: tuple[Block, ...]
@@ -75,27 +78,31 @@ class _Rows:
     equal: NDArray[np.bool_]
     stiff: Array
     loose: Array
+    far: Array
 
 
-def _rows(program: GraspProgram) -> _Rows:
+def _rows(terms: ProgramTerms, start: Point) -> _Rows:
     """The rows of a program."""
-    seen = [(block, block.rows(program.start)) for block in program.constraints if block.name != "limits"]
+    seen = [(block, block.rows(start)) for block in terms.constraints if block.name != "limits"]
     seen = [(block, rows) for block, rows in seen if len(rows[0])]
     if not seen:
-        return _Rows((), *(np.zeros(0, dtype=kind) for kind in (int, int, float, float, bool, float, float)))
+        return _Rows((), *(np.zeros(0, dtype=kind) for kind in (int, int, float, float, bool, float, float, float)))
     blocks = tuple(block for block, _ in seen)
     counts = [len(rows[0]) for _, rows in seen]
     owner = np.repeat(np.arange(len(blocks)), counts)
     low, high = (np.concatenate([rows[k] for _, rows in seen]) for k in (2, 3))
     equal = low == high
     stiff = EQUALITY * equal
-    loose = np.where(np.array([block.unit == "mm" for block in blocks])[owner], LOOSE * equal, stiff)
-    return _Rows(blocks, np.concatenate([[0], np.cumsum(counts[:-1])]), owner, low, high, equal, stiff, loose)
+    units = np.array([block.unit for block in blocks])[owner]
+    loose = np.where(units == "mm", LOOSE * equal, stiff)
+    # How far a step goes is known of millimetres alone.
+    far = np.where(units == OWN_UNIT, np.inf, FAR_ROWS)
+    return _Rows(blocks, np.concatenate([[0], np.cumsum(counts[:-1])]), owner, low, high, equal, stiff, loose, far)
 
 
-def _merit(program: GraspProgram, rows: _Rows, point: Point, loose: bool) -> tuple[float, float]:
+def _merit(terms: ProgramTerms, rows: _Rows, point: Point, loose: bool) -> tuple[float, float]:
     """The merit, and the part of it that stands for violated constraints."""
-    cost = sum(cost.value(point) for cost in program.costs)
+    cost = sum(cost.value(point) for cost in terms.costs)
     if not rows.blocks:
         return cost, 0.0
     g = np.concatenate([block.rows(point)[0] for block in rows.blocks])
@@ -112,17 +119,17 @@ def _length(move: Array, n: int) -> float:
     return float(scaled.max())
 
 
-def _holds(program: GraspProgram, point: Point) -> bool:
+def _holds(terms: ProgramTerms, point: Point) -> bool:
     return all(
-        block.violation(point) <= SAFE.get(block.unit, 0.25) * TOLERANCES[block.unit] for block in program.constraints
+        block.violation(point) <= SAFE.get(block.unit, 0.25) * TOLERANCES[block.unit] for block in terms.constraints
     )
 
 
-def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loose: bool) -> tuple[Array, float]:
+def _step(terms: ProgramTerms, rows: _Rows, point: Point, trust: float, *, loose: bool) -> tuple[Array, float]:
     """Solves one convex subproblem.
 
     Args:
-        program: The program.
+        terms: The program's costs and constraints.
         rows: Its rows.
         point: The point to linearise about.
         trust: Trust region: radians for wrist and joints; a tenth of it in metres for translation.
@@ -139,14 +146,9 @@ def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loo
     H.flat[size * (whole + 1) :: whole + 1] = SLACK_CURVATURE
     f[size:] = SLACK
     P, c = H[:size, :size], f[:size]
-    for cost in program.costs:
-        if isinstance(cost, LeastSquares):
-            r, J = cost.at(point)
-            P += cost.weight * J.T @ J
-            c += cost.weight * (r @ J)
-        else:
-            c += cost.gradient(point)
-            P += 1e-2 * np.eye(size)
+    for cost in terms.costs:
+        c += cost.gradient(point)
+        P += cost.curvature(point)
     bound = np.full(whole, trust)
     bound[3:6], bound[6 + n : size], bound[size:] = 0.1 * trust, 10.0, 1e6
     lower, upper = -bound, bound
@@ -164,8 +166,8 @@ def _step(program: GraspProgram, rows: _Rows, point: Point, trust: float, *, loo
         P += (J_e * stiff[:, None]).T @ J_e
         c += (stiff * r) @ J_e
         # low <= J x + s  and  J x - s <= high, as rows of one-sided bounds.
-        below = np.flatnonzero(~rows.equal & (short > -FAR_ROWS))
-        above = np.flatnonzero(~rows.equal & (spare < FAR_ROWS))
+        below = np.flatnonzero(~rows.equal & (short > -rows.far))
+        above = np.flatnonzero(~rows.equal & (spare < rows.far))
         A = np.zeros((len(below) + len(above), whole))
         np.concatenate([J[below], J[above]], out=A[:, :size])
         A[np.arange(len(below)), size + rows.owner[below]] = 1.0
@@ -195,18 +197,28 @@ def solve_sequential(
 
     Returns:
         The last point that lowered the merit, and the number of subproblems solved.
+
+    Raises:
+        ConfigError: A user added variables to `program.prog`, or costs or constraints without derivatives.
     """
-    point, count, reach, rows = program.start, 0, trust, _rows(program)
+    further = program.further_variables()
+    if len(further):
+        raise ConfigError(
+            f"the sequential solver moves X_WH, q and f alone, and program.prog has {further[0].get_name()!r} beside "
+            "them; choose solver='snopt', 'ipopt' or 'nlopt'"
+        )
+    point, count, reach, terms = program.guess(), 0, trust, program.terms()
+    rows = _rows(terms, point)
     for loose in (True, False):
-        merit, penalty = _merit(program, rows, point, loose)
+        merit, penalty = _merit(terms, rows, point, loose)
         for _ in range(iterations // 2):
-            move, promised = _step(program, rows, point, reach, loose=loose)
+            move, promised = _step(terms, rows, point, reach, loose=loose)
             count += 1
             # Nothing to gain, or constraints that another hundred steps like this one would not mend.
             if promised < max(1e-3, 1e-2 * penalty):
                 break
             trial = point.moved(move)
-            trial_merit, trial_penalty = _merit(program, rows, trial, loose)
+            trial_merit, trial_penalty = _merit(terms, rows, trial, loose)
             gain = merit - trial_merit
             if gain < 0.25 * promised:
                 # A trust region that the step did not fill must shrink to the step first.
@@ -215,7 +227,7 @@ def solve_sequential(
                 reach = min(2.0 * reach, 0.4)
             if gain > 0.01 * promised:
                 point, merit, penalty = trial, trial_merit, trial_penalty
-                if gain < improvement and _holds(program, point):
+                if gain < improvement and _holds(terms, point):
                     return point, count
             if reach < 1e-4:
                 break

@@ -12,7 +12,7 @@ from pydrake.solvers import IpoptSolver, NloptSolver, SnoptSolver, SolverInterfa
 from xdex_drake.errors import ConfigError
 from xdex_drake.programs.constraints import TOLERANCES
 from xdex_drake.programs.point import Point
-from xdex_drake.programs.program import GraspProgram, OutOfTime
+from xdex_drake.programs.program import GraspProgram, OutOfTime, ProgramTerms
 from xdex_drake.programs.sequential import solve_sequential
 
 SOLVERS = ("sequential", "snopt", "ipopt", "nlopt")
@@ -79,8 +79,11 @@ def _drake_solver(name: str, time_limit_s: float) -> tuple[SolverInterface, Solv
     return solver, options
 
 
-def _solve_with_drake(program: GraspProgram, name: str, time_limit_s: float) -> Point:
-    """The point that a solver of Drake returns, or the last one it tried where it ran out of time or lost its way."""
+def _solve_with_drake(program: GraspProgram, name: str, time_limit_s: float) -> tuple[Point, ProgramTerms]:
+    """The point that a solver of Drake returns, or the last one it tried where it ran out of time or lost its way.
+
+    With it the terms at what the solver says of variables that a user added.
+    """
     solver, options = _drake_solver(name, time_limit_s)
     try:
         with program.limited(1.1 * time_limit_s):
@@ -89,27 +92,29 @@ def _solve_with_drake(program: GraspProgram, name: str, time_limit_s: float) -> 
         # Drake wraps what is raised within SNOPT's callbacks.
         if not isinstance(error, OutOfTime) and OutOfTime.__name__ not in str(error):
             raise
-        return program.last_point()
+        return program.last_point(), program.terms()
     x = result.GetSolution(program.variables)
+    terms = program.terms(result.GetSolution(program.further_variables()))
     # NLopt's SLSQP returns NaN for some infeasible programs.
-    return program.point(x) if np.isfinite(x).all() else program.start
+    return (program.point(x) if np.isfinite(x).all() else program.start), terms
 
 
-def judge(program: GraspProgram, point: Point) -> tuple[dict[str, float], str]:
+def judge(program: GraspProgram, point: Point, terms: ProgramTerms | None = None) -> tuple[dict[str, float], str]:
     """Violations of all constraints at a point, and the name of the worst that exceeds its tolerance.
 
     Args:
         program: The program.
         point: The point.
+        terms: What counts; `program.terms()` where None, those of `program.prog` among them.
 
     Returns:
         Violation by name, in the block's unit, and the name of the worst; empty where all hold.
     """
-    violations = {block.name: block.violation(point) for block in program.constraints}
+    constraints = (terms or program.terms()).constraints
+    violations = {block.name: block.violation(point) for block in constraints}
     # A value that is no number holds nothing.
     relative = {
-        block.name: np.nan_to_num(violations[block.name] / TOLERANCES[block.unit], nan=np.inf)
-        for block in program.constraints
+        block.name: np.nan_to_num(violations[block.name] / TOLERANCES[block.unit], nan=np.inf) for block in constraints
     }
     worst = max(relative, key=lambda name: relative[name], default="")
     return violations, worst if worst and relative[worst] > 1.0 else ""
@@ -123,7 +128,7 @@ def solve(
     improvement: float = 1e-3,
     time_limit_s: float = 10.0,
 ) -> ProgramResult:
-    """Solves a grasp program from its initial guess.
+    """Solves a grasp program from its initial guess, with all that a user added to `program.prog`.
 
     Args:
         program: The program.
@@ -136,18 +141,20 @@ def solve(
         The result; a failed solve is a result with the constraint that failed, not an exception.
 
     Raises:
-        ConfigError: The solver is not known.
+        ConfigError: The solver is not known, or it is the sequential one and cannot take what was added to
+            `program.prog`: further variables, or functions that Drake's AutoDiff cannot differentiate.
     """
     if solver not in SOLVERS:
         raise ConfigError(f"solver {solver!r} is not known; choose one of {', '.join(SOLVERS)}")
     start = time.perf_counter()
+    count, terms = -1, program.terms()
     if solver == "sequential":
         point, count = solve_sequential(program, iterations=iterations, improvement=improvement)
     else:
-        point, count = _solve_with_drake(program, solver, time_limit_s), -1
+        point, terms = _solve_with_drake(program, solver, time_limit_s)
     seconds = time.perf_counter() - start
-    violations, worst = judge(program, point)
-    costs = {cost.name: cost.value(point) for cost in program.costs}
+    violations, worst = judge(program, point, terms)
+    costs = {cost.name: cost.value(point) for cost in terms.costs}
     return ProgramResult("infeasible" if worst else "solved", point, costs, violations, worst, count, seconds, solver)
 
 

@@ -227,26 +227,23 @@ def evaluate_term(term: Term, view: View) -> tuple[Any, dict[str, Any]]:
 
 
 def _check_shape(term: Term, what: str, array: Any, shape: Sequence[int]) -> None:
-    if tuple(np.shape(array)) != tuple(shape):
+    if getattr(array, "shape", ()) != shape:
         raise ConfigError(
             f"term {term.name!r}: {what} has shape {tuple(np.shape(array))}; give {tuple(shape)}, as the view has it"
         )
 
 
-Pulls = Sequence[tuple[float, Mapping[str, Any]]]
-"""Weights and gradients by name of several terms."""
+Pulls = Mapping[str, Any]
+"""Gradients of a sum of terms by the name of what they are with respect to."""
 
 
-def total_pull(pulls: Pulls, name: str, through: Callable[[Any], Any] = lambda gradient: gradient) -> Any:
-    """Weighted sum of the gradients with respect to one quantity, each carried on by a linear map.
+def add_pull(total: dict[str, Any], weight: float, gradients: Mapping[str, Any]) -> None:
+    """Adds the weighted gradients of a term to those of others, in place."""
+    for name, gradient in gradients.items():
+        total[name] = weight * gradient if name not in total else total[name] + weight * gradient
 
-    Args:
-        pulls: Weights and gradients.
-        name: Name of the quantity.
-        through: The map.
 
-    Returns:
-        The sum; None where nothing pulls.
-    """
-    parts = [weight * through(gradients[name]) for weight, gradients in pulls if name in gradients]
-    return sum(parts[1:], parts[0]) if parts else None
+def carried(pulls: Pulls, name: str, through: Callable[[Any], Any] = lambda gradient: gradient) -> Any:
+    """The gradient with respect to one quantity, carried on by a linear map; None where nothing pulls."""
+    gradient = pulls.get(name)
+    return None if gradient is None else through(gradient)

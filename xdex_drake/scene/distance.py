@@ -1,8 +1,10 @@
 """Signed distance to an object: exact, and on a regular grid for batches."""
 
+import atexit
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakSet
 
 import igl
 import manifold3d
@@ -98,6 +100,20 @@ class HalfSpaces:
         return np.maximum.reduceat(points @ self.normals.T - self.offsets, self.starts, axis=1).min(axis=1)
 
 
+_ALIVE: WeakSet["ExactDistance"] = WeakSet()
+
+
+@atexit.register
+def _drop_trees() -> None:
+    """Drops all trees while there is an interpreter: one that outlives it has its library print lines about leaks.
+
+    Drake keeps a user's function, which keeps all that its module holds, the program among it: such a circle goes
+    through C++, where no garbage collector sees it.
+    """
+    for distance in _ALIVE:
+        vars(distance).pop("_tree", None)
+
+
 class ExactDistance:
     """Exact signed distance to a closed surface, negative inside.
 
@@ -122,6 +138,7 @@ class ExactDistance:
         self.lower, self.upper = self.vertices.min(axis=0), self.vertices.max(axis=0)
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
+        _ALIVE.add(self)
 
     def query(self, points_O: Array) -> DistanceResult:
         """Signed distances of points.

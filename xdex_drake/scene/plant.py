@@ -152,17 +152,17 @@ class ScenePlant:
         self.plant.SetFreeBodyPose(context, self.object_body, X_WO)
 
 
-def simulator_of(bench: ScenePlant, settings: PlantSettings) -> Simulator:
+def simulator_of(scene_plant: ScenePlant, settings: PlantSettings) -> Simulator:
     """A simulator of a plant.
 
     Args:
-        bench: The plant.
+        scene_plant: The plant.
         settings: The physics that it was built with.
 
     Returns:
         The simulator, with error-controlled integration where the settings name an accuracy.
     """
-    simulator = Simulator(bench.diagram)
+    simulator = Simulator(scene_plant.diagram)
     if settings.accuracy is not None:
         config = SimulatorConfig(integration_scheme="cenic", accuracy=settings.accuracy, max_step_size=LONGEST_STEP)
         ApplySimulatorConfig(config, simulator)

@@ -34,14 +34,14 @@ class LiftRig:
 
     Attributes:
         protocol: The protocol.
-        bench: Hand on its carriage, object and table.
-        simulator: Simulator of `bench.diagram`.
+        scene_plant: Hand on its carriage, object and table.
+        simulator: Simulator of `scene_plant.diagram`.
         hand_source: Plays the joints' targets and their rates; see `_trajectory`.
         carriage_source: The same of the carriage.
     """
 
     protocol: LiftProtocol
-    bench: ScenePlant
+    scene_plant: ScenePlant
     simulator: Simulator
     hand_source: TrajectorySource
     carriage_source: TrajectorySource
@@ -49,17 +49,17 @@ class LiftRig:
     @property
     def hand(self) -> Hand:
         """The hand."""
-        return self.bench.hand
+        return self.scene_plant.hand
 
     @property
     def scene(self) -> Scene:
         """The object on its table, with the protocol's mass and friction."""
-        assert self.bench.scene is not None
-        return self.bench.scene
+        assert self.scene_plant.scene is not None
+        return self.scene_plant.scene
 
     @property
     def _plant_context(self) -> Context:
-        return self.bench.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+        return self.scene_plant.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
 
     def start(self, grasp: Grasp) -> None:
         """Puts hand and object at the begin of a lift, time zero, and takes up the lift's targets.
@@ -67,17 +67,17 @@ class LiftRig:
         Args:
             grasp: A grasp with pre-grasp and squeeze targets.
         """
-        bench, context = self.bench, self.simulator.get_mutable_context()
-        bench.diagram.SetDefaultContext(context)
+        scene_plant, context = self.scene_plant, self.simulator.get_mutable_context()
+        scene_plant.diagram.SetDefaultContext(context)
         context.SetTime(0.0)
         _play_targets(self, grasp)
         # The mount stands at the grasp; the pre-grasp is an offset of the carriage.
-        bench.set_wrist(self._plant_context, grasp.X_WH)
+        scene_plant.set_wrist(self._plant_context, grasp.X_WH)
         q, offset = targets(grasp, self.protocol, 0.0)
-        bench.set_joints(self._plant_context, q)
-        for joint, value in zip(bench.carriage, offset, strict=True):
+        scene_plant.set_joints(self._plant_context, q)
+        for joint, value in zip(scene_plant.carriage, offset, strict=True):
             joint.set_translation(self._plant_context, value)
-        bench.set_object(self._plant_context, grasp.X_WO)
+        scene_plant.set_object(self._plant_context, grasp.X_WO)
 
     def advance_to(self, t: float) -> None:
         """Simulates until a time [s]; a RuntimeError where Drake's solver gives up."""
@@ -87,20 +87,20 @@ class LiftRig:
 
     def touching_at_rest(self, depth: float = 0.0) -> Touch:
         """Contacts of the configuration as it stands and at least as deep as given [m], from geometry alone."""
-        return _touching_at_rest(self.bench, self._plant_context, depth)
+        return _touching_at_rest(self.scene_plant, self._plant_context, depth)
 
     def touching(self) -> Touch:
         """Contacts of the last step."""
-        return _touching(self.bench, self._plant_context)
+        return _touching(self.scene_plant, self._plant_context)
 
     def X_WO(self) -> RigidTransform:
         """Pose of the object."""
-        assert self.bench.object_body is not None
-        return self.bench.plant.EvalBodyPoseInWorld(self._plant_context, self.bench.object_body)
+        assert self.scene_plant.object_body is not None
+        return self.scene_plant.plant.EvalBodyPoseInWorld(self._plant_context, self.scene_plant.object_body)
 
     def X_WH(self) -> RigidTransform:
         """Pose of the wrist frame."""
-        X_WB = self.bench.plant.EvalBodyPoseInWorld(self._plant_context, self.bench.links[0])
+        X_WB = self.scene_plant.plant.EvalBodyPoseInWorld(self._plant_context, self.scene_plant.links[0])
         return X_WB @ RigidTransform(RotationMatrix(self.hand.R_HB), self.hand.p_HB).inverse()
 
     def push(self, f_W: Array) -> None:
@@ -109,23 +109,23 @@ class LiftRig:
         Args:
             f_W: The force in W [N], shape (3,); zero ends it.
         """
-        assert self.bench.object_body is not None
+        assert self.scene_plant.object_body is not None
         force = ExternallyAppliedSpatialForce()
-        force.body_index = self.bench.object_body.index()
+        force.body_index = self.scene_plant.object_body.index()
         force.p_BoBq_B = self.scene.object.p_OOcm
         force.F_Bq_W = SpatialForce(np.zeros(3), f_W)
-        port = self.bench.plant.get_applied_spatial_force_input_port()
+        port = self.scene_plant.plant.get_applied_spatial_force_input_port()
         port.FixValue(self._plant_context, [force] if np.any(f_W) else [])
 
     def state(self) -> tuple[float, Array]:
         """Time [s], and positions and velocities: all that the further simulation depends on."""
         t = self.simulator.get_context().get_time()
-        return t, self.bench.plant.GetPositionsAndVelocities(self._plant_context).copy()
+        return t, self.scene_plant.plant.GetPositionsAndVelocities(self._plant_context).copy()
 
     def restore(self, state: tuple[float, Array]) -> None:
         """Goes back to a state of the same lift."""
         self.simulator.get_mutable_context().SetTime(state[0])
-        self.bench.plant.SetPositionsAndVelocities(self._plant_context, state[1])
+        self.scene_plant.plant.SetPositionsAndVelocities(self._plant_context, state[1])
         self.simulator.Initialize()
 
 
@@ -161,8 +161,8 @@ def lift_rig(
         if extend is not None:
             extend(builder, plant, scene_graph)
 
-    bench = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=add_sources)
-    return LiftRig(protocol, bench, simulator_of(bench, protocol.plant), *sources)
+    scene_plant = build_plant(hand, scene, carriage=True, settings=protocol.plant, extend=add_sources)
+    return LiftRig(protocol, scene_plant, simulator_of(scene_plant, protocol.plant), *sources)
 
 
 def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
@@ -179,11 +179,11 @@ def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Li
     return shared(lambda: lift_rig(hand, scene, protocol=protocol), "drake", hand, scene, protocol)
 
 
-def _sort_touches(bench: ScenePlant, pairs: Iterable[tuple[BodyIndex, BodyIndex]]) -> Touch:
+def _sort_touches(scene_plant: ScenePlant, pairs: Iterable[tuple[BodyIndex, BodyIndex]]) -> Touch:
     """Sorts pairs of bodies in contact by what the hand's links touch."""
-    index_of = {body.index(): k for k, body in enumerate(bench.links)}
-    object_index = bench.object_body.index() if bench.object_body is not None else None
-    world_index = bench.plant.world_body().index()
+    index_of = {body.index(): k for k, body in enumerate(scene_plant.links)}
+    object_index = scene_plant.object_body.index() if scene_plant.object_body is not None else None
+    world_index = scene_plant.plant.world_body().index()
     on_object, on_table = set(), set()
     for pair in pairs:
         for one, other in (pair, pair[::-1]):
@@ -195,39 +195,39 @@ def _sort_touches(bench: ScenePlant, pairs: Iterable[tuple[BodyIndex, BodyIndex]
     return Touch(frozenset(on_object), frozenset(on_table))
 
 
-def _touching(bench: ScenePlant, context: Context) -> Touch:
+def _touching(scene_plant: ScenePlant, context: Context) -> Touch:
     """Contacts of the last step of the simulation."""
-    results: Any = bench.plant.get_contact_results_output_port().Eval(context)
+    results: Any = scene_plant.plant.get_contact_results_output_port().Eval(context)
     infos = (results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts()))
     pairs = [(info.bodyA_index(), info.bodyB_index()) for info in infos]
     if results.num_hydroelastic_contacts():
-        body_of = _body_of(bench, context)
+        body_of = _body_of(scene_plant, context)
         surfaces = (
             results.hydroelastic_contact_info(k).contact_surface() for k in range(results.num_hydroelastic_contacts())
         )
         pairs += [(body_of(surface.id_M()), body_of(surface.id_N())) for surface in surfaces]
-    return _sort_touches(bench, pairs)
+    return _sort_touches(scene_plant, pairs)
 
 
-def _body_of(bench: ScenePlant, context: Context) -> Callable[[GeometryId], BodyIndex]:
+def _body_of(scene_plant: ScenePlant, context: Context) -> Callable[[GeometryId], BodyIndex]:
     """Finds the body of a geometry."""
-    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
+    query: Any = scene_plant.plant.get_geometry_query_input_port().Eval(context)
     frame_of = query.inspector().GetFrameId
 
     def body(geometry: GeometryId) -> BodyIndex:
-        found = bench.plant.GetBodyFromFrameId(frame_of(geometry))
+        found = scene_plant.plant.GetBodyFromFrameId(frame_of(geometry))
         assert found is not None
         return found.index()
 
     return body
 
 
-def _touching_at_rest(bench: ScenePlant, context: Context, depth: float = 0.0) -> Touch:
+def _touching_at_rest(scene_plant: ScenePlant, context: Context, depth: float = 0.0) -> Touch:
     """Contacts of the configuration as it stands and at least as deep as given, from geometry alone."""
-    query: Any = bench.plant.get_geometry_query_input_port().Eval(context)
-    body = _body_of(bench, context)
+    query: Any = scene_plant.plant.get_geometry_query_input_port().Eval(context)
+    body = _body_of(scene_plant, context)
     pairs = (p for p in query.ComputePointPairPenetration() if p.depth >= depth)
-    return _sort_touches(bench, ((body(p.id_A), body(p.id_B)) for p in pairs))
+    return _sort_touches(scene_plant, ((body(p.id_A), body(p.id_B)) for p in pairs))
 
 
 def _play_targets(rig: LiftRig, grasp: Grasp) -> None:

@@ -65,16 +65,16 @@ def hand_picture(
         add_renderer(scene_graph, shadows=False)
 
     q = hand.q_rest if q is None else q
-    bench = build_plant(hand, extend=add)
-    context = bench.diagram.CreateDefaultContext()
-    plant_context = bench.plant.GetMyMutableContextFromRoot(context)
-    bench.set_wrist(plant_context, RigidTransform())
-    bench.set_joints(plant_context, q)
+    scene_plant = build_plant(hand, extend=add)
+    context = scene_plant.diagram.CreateDefaultContext()
+    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(context)
+    scene_plant.set_wrist(plant_context, RigidTransform())
+    scene_plant.set_joints(plant_context, q)
     toward = np.array(direction, dtype=float)
     blobs = hand_blobs(hand, RigidTransform(), q)
     width, height = size
     X_WC = frame_blobs(blobs, toward / np.linalg.norm(toward), fov_y=FOV_Y, aspect=width / height, margin=1.06)
-    return color_image(bench.scene_graph, bench.scene_graph.GetMyContextFromRoot(context), X_WC, size)
+    return color_image(scene_plant.scene_graph, scene_plant.scene_graph.GetMyContextFromRoot(context), X_WC, size)
 
 
 def hands_sheet(hands: Sequence[Hand], *, columns: int = 8, size: tuple[int, int] = (240, 240)) -> Image:

@@ -53,11 +53,11 @@ class Studio:
     """A hand and a scene that pictures are taken of, any number of them.
 
     Attributes:
-        bench: Hand, object and table with a renderer.
-        context: Context of `bench.diagram`.
+        scene_plant: Hand, object and table with a renderer.
+        context: Context of `scene_plant.diagram`.
     """
 
-    bench: ScenePlant
+    scene_plant: ScenePlant
     context: Context
 
 
@@ -181,8 +181,8 @@ def make_studio(
         if extend is not None:
             extend(builder, plant, scene_graph)
 
-    bench = build_plant(hand, scene, extend=add)
-    return Studio(bench, bench.diagram.CreateDefaultContext())
+    scene_plant = build_plant(hand, scene, extend=add)
+    return Studio(scene_plant, scene_plant.diagram.CreateDefaultContext())
 
 
 def take_picture(
@@ -199,16 +199,16 @@ def take_picture(
     Returns:
         Red, green and blue, shape (height, width, 3).
     """
-    bench = studio.bench
-    assert bench.scene is not None
+    scene_plant = studio.scene_plant
+    assert scene_plant.scene is not None
     width, height = size
     if X_WC is None:
-        X_WC = best_view(grasp, bench.hand, bench.scene, fov_y=FOV_Y, aspect=width / height)
-    plant_context = bench.plant.GetMyMutableContextFromRoot(studio.context)
-    bench.set_wrist(plant_context, grasp.X_WH)
-    bench.set_joints(plant_context, grasp.q)
-    bench.set_object(plant_context, grasp.X_WO)
-    scene_graph = bench.scene_graph
+        X_WC = best_view(grasp, scene_plant.hand, scene_plant.scene, fov_y=FOV_Y, aspect=width / height)
+    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(studio.context)
+    scene_plant.set_wrist(plant_context, grasp.X_WH)
+    scene_plant.set_joints(plant_context, grasp.q)
+    scene_plant.set_object(plant_context, grasp.X_WO)
+    scene_graph = scene_plant.scene_graph
     return color_image(scene_graph, scene_graph.GetMyContextFromRoot(studio.context), X_WC, size)
 
 

@@ -145,9 +145,9 @@ def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: 
 
     patient = replace(protocol, cpu_limit_s=max(protocol.cpu_limit_s, REPLAY_CPU_LIMIT_S))
     rig = lift_rig(hand, scene, protocol=patient, extend=extend)
-    plant, context = rig.bench.plant, rig.simulator.get_context()
+    plant, context = rig.scene_plant.plant, rig.simulator.get_context()
     plant_context = plant.GetMyContextFromRoot(context)
-    forces = HandForces(meshcat, plant, rig.bench.hand_instance, "/drake/forces")
+    forces = HandForces(meshcat, plant, rig.scene_plant.hand_instance, "/drake/forces")
     frame = -1
 
     def monitor(root: Context) -> EventStatus:
@@ -166,11 +166,11 @@ def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: 
     # The end, which no periodic event sees: where the lift fails before its first step it is the only frame.
     sound = lift.failure_reason != "simulation_failed"
     if sound:
-        rig.bench.diagram.ForcedPublish(context)
+        rig.scene_plant.diagram.ForcedPublish(context)
     meshcat.StopRecording()
     animation = meshcat.get_mutable_recording()
     last = int(animation.frame(context.get_time()))
-    for body in [*rig.bench.links, rig.bench.object_body] if sound else []:
+    for body in [*rig.scene_plant.links, rig.scene_plant.object_body] if sound else []:
         assert body is not None
         # The path as the visualizer spells it: an absolute one would make a second track of the same body.
         path = f"scene/{plant.GetModelInstanceName(body.model_instance())}/{body.name()}"
@@ -281,13 +281,13 @@ def _draw_grasp(meshcat: Meshcat, name: str, grasp: Grasp, hand: Hand, scene: Sc
     def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, MeshcatVisualizerParams(prefix=name))
 
-    bench = build_plant(hand, scene, extend=extend)
-    context = bench.diagram.CreateDefaultContext()
-    plant_context = bench.plant.GetMyMutableContextFromRoot(context)
-    bench.set_wrist(plant_context, grasp.X_WH)
-    bench.set_joints(plant_context, grasp.q)
-    bench.set_object(plant_context, grasp.X_WO)
-    bench.diagram.ForcedPublish(context)
+    scene_plant = build_plant(hand, scene, extend=extend)
+    context = scene_plant.diagram.CreateDefaultContext()
+    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(context)
+    scene_plant.set_wrist(plant_context, grasp.X_WH)
+    scene_plant.set_joints(plant_context, grasp.q)
+    scene_plant.set_object(plant_context, grasp.X_WO)
+    scene_plant.diagram.ForcedPublish(context)
     path = f"/drake/{name}"
     meshcat.Delete(f"{path}/table")
     meshcat.SetTransform(path, RigidTransform(offset))

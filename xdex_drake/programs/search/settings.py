@@ -9,8 +9,11 @@ from xdex_drake.programs.contact_forces import FORCE_FRICTION
 from xdex_drake.programs.grasp_types import GraspType
 from xdex_drake.programs.term import Term
 from xdex_drake.programs.terms import EQ_1
-from xdex_drake.programs.terms.approach import Approach
+from xdex_drake.programs.terms.approach import APPROACH_COSINE, Approach, checked_direction
 from xdex_drake.programs.terms.spread import Spread
+
+LOWEST_APPROACH = 0.35
+"""Greatest upward part of a palm's direction: from further below, no hand comes past the table."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class SearchSettings:
         force_steps: Projected-gradient steps on the contact forces for each step of the search.
         grasp_type: Type of grasp: which fingers, and whether the palm, carry contact.
         approach: Direction that the palm shall come along, in W, of any length; any where None.
-        approach_cosine: Cosine between the palm's direction and that one that is enough.
+        approach_cosine: Cosine between the palm's direction and that one that is enough; polished grasps keep it.
         spread: Distance that contact points shall keep from each other [m]; any where 0.
     """
 
@@ -75,8 +78,20 @@ class SearchSettings:
     force_steps: int = 3
     grasp_type: GraspType = "any"
     approach: tuple[float, float, float] | None = None
-    approach_cosine: float = 0.9
+    approach_cosine: float = APPROACH_COSINE
     spread: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuses a direction that is none.
+
+        Raises:
+            ConfigError: It is zero, or points up so that the hand would have to come from below the table.
+        """
+        if self.approach is not None and checked_direction(self.approach)[2] > LOWEST_APPROACH:
+            raise ConfigError(
+                f"approach {list(self.approach)} comes from below the table; give a direction that points down or "
+                "sideways, such as (0, 0, -1)"
+            )
 
     def energy(self) -> tuple[tuple[float, Term], ...]:
         """The terms with the weights that hold: those of `terms`, and the wishes that were made.

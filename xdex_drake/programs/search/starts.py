@@ -11,6 +11,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.programs.grasp_types import approach_axis, random_contact_sets
 from xdex_drake.programs.search.candidates import State
 from xdex_drake.programs.search.problem import SearchProblem
+from xdex_drake.programs.search.settings import LOWEST_APPROACH
 from xdex_drake.scene.tabletop import Scene
 
 
@@ -116,7 +117,7 @@ def random_wrists(
         R_WHs = turned_towards(R_WHs, direction_H, spread_out)
     # From below the table no hand comes; straight sideways is as far as it goes.
     approach = R_WHs @ direction_H
-    keep = np.flatnonzero(approach[:, 2] < 0.35)[:count]
+    keep = np.flatnonzero(approach[:, 2] < LOWEST_APPROACH)[:count]
     R_WHs, approach = R_WHs[keep], approach[keep]
     vertices = scene.X_WO @ scene.object.vertices.T  # (3, n)
     low, high = vertices.min(1), vertices.max(1)

@@ -16,7 +16,7 @@ from xdex_drake.programs.arrays import cross, rotation_pull
 from xdex_drake.programs.contact_forces import relaxed_forces
 from xdex_drake.programs.search.candidates import State
 from xdex_drake.programs.search.problem import SearchProblem
-from xdex_drake.programs.term import Pulls, evaluate_term, total_pull
+from xdex_drake.programs.term import Pulls, add_pull, carried, evaluate_term
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class BatchView:
         """Gradient with respect to the candidates from gradients with respect to what the view offers.
 
         Args:
-            pulls: Weights and gradients by name of several terms.
+            pulls: The gradients by name.
 
         Returns:
             Gradient with respect to (w_WH, v_WH, qdot), shape (B, 6 + n).
@@ -193,7 +193,7 @@ class BatchView:
             ("R_WH", slice(3), lambda g: rotation_pull(self.R_WH, g)),
             ("p_WH", slice(3, 6), lambda g: g),
         ):
-            total = total_pull(pulls, name, through)
+            total = carried(pulls, name, through)
             if total is not None:
                 gradient[:, columns] += total
         return gradient
@@ -205,7 +205,7 @@ class BatchView:
         if on_centers is not None:
             found.append(self.problem.spheres.wrenches(self.poses, on_centers))
         for name, points in (("between_W", self.problem.pairs), ("tips_W", self.problem.tip_points)):
-            total = total_pull(pulls, name)
+            total = carried(pulls, name)
             if total is not None:
                 found.append(points.wrenches(self.poses, total.transpose(1, 2)))
         return found
@@ -213,19 +213,20 @@ class BatchView:
     def _on_centers(self, pulls: Pulls) -> torch.Tensor | None:
         """Components of the gradient with respect to the spheres' centers, shape (B, 3, m)."""
         R_WO = self.problem.R_WO
-        total = total_pull(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
-        for name, rows in (("centers_W", slice(3)), ("heights", slice(2, 3))):
-            more = total_pull(pulls, name, lambda g: g.reshape(*g.shape[:2], -1).transpose(1, 2))
-            if more is not None:
-                total = torch.zeros_like(self._centers) if total is None else total
-                total[:, rows] += more
+        total = carried(pulls, "distances", lambda g: R_WO @ (g[:, None] * self._nearest[1]))
+        if "centers_W" in pulls:
+            on_centers = pulls["centers_W"].transpose(1, 2)
+            total = on_centers.clone() if total is None else total + on_centers
+        if "heights" in pulls:
+            total = torch.zeros_like(self._centers) if total is None else total
+            total[:, 2] += pulls["heights"]
         return total
 
     def _on_contacts(self, pulls: Pulls) -> list[torch.Tensor]:
         """Wrenches on the links by what pulls contact points, normals, distances and pads."""
-        on_points, on_normals = total_pull(pulls, "contacts_W"), total_pull(pulls, "normals_W")
-        on_distances = total_pull(pulls, "contact_distances")
-        torque = total_pull(pulls, "pads_W", lambda g: cross(self.pads_W, g))
+        on_points, on_normals = carried(pulls, "contacts_W"), carried(pulls, "normals_W")
+        on_distances = carried(pulls, "contact_distances")
+        torque = carried(pulls, "pads_W", lambda g: cross(self.pads_W, g))
         if on_points is None and on_normals is None and on_distances is None and torque is None:
             return []
         d, outward, H = self._smooth
@@ -245,8 +246,8 @@ class BatchView:
 
     def _on_link_poses(self, pulls: Pulls) -> list[torch.Tensor]:
         """Wrenches on the links by what pulls their poses."""
-        torque = total_pull(pulls, "R_WLs", lambda g: rotation_pull(self.R_WLs, g))
-        force = total_pull(pulls, "p_WLs")
+        torque = carried(pulls, "R_WLs", lambda g: rotation_pull(self.R_WLs, g))
+        force = carried(pulls, "p_WLs")
         if torque is None and force is None:
             return []
         links = torch.arange(self.p_WLs.shape[1], device=self.p_WLs.device)
@@ -271,9 +272,9 @@ def evaluate(problem: SearchProblem, state: State) -> tuple[torch.Tensor, torch.
     """
     view = BatchView(problem, state)
     state.forces = view.forces_W
-    values, pulls, energy = {}, [], torch.zeros_like(state.q[:, 0])
+    values, pulls, energy = {}, dict[str, torch.Tensor](), torch.zeros_like(state.q[:, 0])
     for weight, term in problem.terms:
         values[term.name], gradients = evaluate_term(term, view)
-        pulls.append((weight, gradients))
+        add_pull(pulls, weight, gradients)
         energy = energy + weight * values[term.name]
     return energy, view.pull_back(pulls), values

@@ -1,4 +1,4 @@
-"""A wish: the palm comes along a given direction; in the search, and in the program that polishes."""
+"""The palm comes along a given direction: as an energy, and as a constraint."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from xdex_drake.arrays import Array
+from xdex_drake.arrays import Array, cross
+from xdex_drake.errors import ConfigError
 from xdex_drake.programs.arrays import like
-from xdex_drake.programs.costs import LeastSquares, squared
+from xdex_drake.programs.block import Block
+from xdex_drake.programs.grasp_types import approach_axis
+from xdex_drake.programs.point import Point
 from xdex_drake.programs.term import Pull, View
+
+APPROACH_COSINE = 0.94
+"""Cosine of the cone's half angle where none is given: 20 degrees."""
 
 
 def approach(a_Ws: Any, direction_W: Any, least: float) -> tuple[Any, Any]:
@@ -42,7 +48,7 @@ class Approach:
     """
 
     direction_W: tuple[float, float, float]
-    least: float = 0.9
+    least: float = APPROACH_COSINE
     weight: float = 10.0
     name: str = "approach"
 
@@ -53,17 +59,50 @@ class Approach:
         return value, Pull(palm_W=gradient)
 
 
-def approach_cost(direction_W: tuple[float, ...] | Array, *, least: float = 0.9, weight: float = 50.0) -> LeastSquares:
-    """A cost that keeps the palm's approach within a cone: 1/2 w max(0, least - a . d)^2.
+def approach_block(direction_W: tuple[float, ...] | Array, *, least: float = APPROACH_COSINE) -> Block:
+    """The palm comes from within a cone: (a . d - least) / sqrt(1 - least^2) >= 0, radians from the cone's surface.
 
     Args:
         direction_W: Direction in W that the palm shall come along, of any length, shape (3,); (0, 0, -1) is from
-            above.
-        least: Cosine that is enough.
-        weight: Weight.
+            above. The palm's is `approach_axis`: from the roots of the fingers to where the hand at rest holds things.
+        least: Cosine of the cone's half angle, between -1 and 1.
 
     Returns:
-        The cost; `program.add(approach_cost((0, 0, -1)))`.
+        The block; `program.add_constraint(approach_block((0, 0, -1)))`.
+
+    Raises:
+        ConfigError: The direction is zero, or there is no such cone.
     """
-    x, y, z = np.asarray(direction_W, dtype=float)
-    return squared(Approach((x, y, z), least), weight, meaning="palm's direction short of the one asked for")
+    wanted = checked_direction(direction_W)
+    if not -1.0 < least < 1.0:
+        raise ConfigError(f"the cosine of the cone around approach is {least:g}; give a number between -1 and 1")
+    scale = 1.0 / np.sqrt(1.0 - least * least)
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        palm = point.k.X_WH.rotation().matrix() @ approach_axis(point.k.hand)[1]
+        J = np.zeros((1, point.size))
+        J[0, :3] = scale * cross(palm, wanted)
+        return np.array([scale * (palm @ wanted - least)]), J
+
+    return Block(
+        "palm direction", evaluate, np.zeros(1), np.full(1, np.inf), "rad", "palm within a cone about the approach"
+    )
+
+
+def checked_direction(direction_W: tuple[float, ...] | Array) -> Array:
+    """A direction as a unit vector.
+
+    Args:
+        direction_W: The direction, of any length, shape (3,).
+
+    Returns:
+        The unit vector.
+
+    Raises:
+        ConfigError: It is not three numbers, one of which is not zero.
+    """
+    wanted = np.asarray(direction_W, dtype=float)
+    length = float(np.linalg.norm(wanted)) if wanted.shape == (3,) else 0.0
+    if not 0.0 < length < np.inf:
+        raise ConfigError(f"approach is {list(direction_W)}; give three numbers, such as (0, 0, -1) from above")
+    return wanted / length

@@ -1,0 +1,1 @@
+"""A person's hand in, any hand out: key points of a camera or a glove to joint values, by kinematics alone."""
