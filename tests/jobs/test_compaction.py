@@ -69,6 +69,7 @@ def test_poses_and_lifts_come_back_within_the_steps_of_16_bits(hand, scene):
         assert (np.abs(q - grasp.q) <= 0.5001 * (high - low) / 65535).all()
         assert slots.tolist() == [True, False, True, False, False]
         lift, stored = lift_of_row(row, hand, unit.header), grasp.lift
+        assert stored is not None and lift.hold is not None
         assert (lift.success, lift.fingertips, lift.protocol) == (True, ("thumb",), "hold")
         assert lift.lift_height_m == pytest.approx(stored.lift_height_m, abs=1e-4)
         assert not lift.hold.holds and lift.hold.reason == "slipped:+x" and np.isnan(lift.hold.turn_rad)

@@ -13,6 +13,7 @@ import pytest
 
 from xdex_drake import whole_file
 from xdex_drake.cli import main
+from xdex_drake.dataset.card import card
 from xdex_drake.dataset.folder import completed_units, failed_units, iter_rejected, read_dataset
 from xdex_drake.dataset.lock import locked
 from xdex_drake.dataset.verify import verify
@@ -123,6 +124,18 @@ def test_rows_name_their_sources_and_are_sound(made):
     lifted = sum(row["success"] for row in sources.values())
     assert len(carried) + len(rejected) == lifted and {entry.source_grasp_id for entry in rejected} <= sources.keys()
     assert {row["protocol"] for row in carried} <= {"lift-0.2/2tips", "hold"}
+
+
+def test_the_card_counts_every_attempt(made, tmp_path, capsys):
+    assert main(["dataset", "card", str(made), "--out", str(tmp_path / "card.md")]) == 0
+    text = (tmp_path / "card.md").read_text()
+    assert text == capsys.readouterr().out == card(made)
+    rows = [row for row in read_dataset(made).to_pylist() if row["source_grasp_id"]]
+    rejected = [entry for _, entries in iter_rejected(made) for entry in entries]
+    lifted = sum(row["success"] for row in rows)
+    attempts = len(rows) + len(rejected)
+    assert f"| all | {attempts} | {len(rows)} | {lifted} | {lifted / attempts:.3f} |" in text
+    assert "| generated: vase |" in text and "without_families: []" in text
 
 
 def test_two_workers_make_the_same_bytes(made, tmp_path):

@@ -142,6 +142,32 @@ class DatasetVerify:
 
 
 @dataclass(frozen=True)
+class DatasetCard:
+    """Writes the card of a data set: what it holds, what was attempted, what lifted, and why the rest did not.
+
+    Try `xdex dataset card pairs --out pairs/README.md`.
+
+    Attributes:
+        folder: Folder of the data set.
+        out: The Markdown file; `README.md` in the folder where none is given.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    out: Path | None = None
+
+    def run(self) -> int:
+        """Writes the card and prints it."""
+        one_thread()
+        from xdex_drake.dataset.card import card
+        from xdex_drake.whole_file import write_text
+
+        text = card(self.folder)
+        write_text(self.out or self.folder / "README.md", text)
+        print(text, end="")
+        return 0
+
+
+@dataclass(frozen=True)
 class DatasetCompact:
     """Keeps a data set in some 60 bytes a grasp, in files below 10 MB that are appended to and never rewritten.
 
@@ -204,6 +230,7 @@ class DatasetExpand:
         with keeping_finished_work() as interruption, progress(missing, "units") as bar:
 
             def tell(done: UnitResult) -> None:
+                bar.set_postfix_str(done.unit.header.unit, refresh=False)
                 bar.update()
 
             expand_table(self.table, self.out, workers=self.workers, on_done=tell)
