@@ -14,6 +14,7 @@ from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
+from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
@@ -113,8 +114,13 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
 
     Returns:
         The grasp, or the reason why there is none.
+
+    Raises:
+        ConfigError: The point is of another hand.
     """
     scene, k = point.scene, point.k
+    if k.hand is not hand and k.hand.name != hand.name:
+        raise ConfigError(f"the point is of hand {k.hand.name!r}, not of {hand.name!r}; give its own hand")
     R_OW = scene.X_WO.rotation().matrix().T
     p_WCs, n_WCs = point.exact_contacts()
     p_OCs = (p_WCs - scene.X_WO.translation()) @ R_OW.T
