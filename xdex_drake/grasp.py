@@ -165,3 +165,13 @@ class Grasp:
     stiffness_least: float = float("nan")
     foretold_motion: float = float("nan")
     seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        """One line."""
+        proof, lift = self.certificate, self.lift
+        name = f"{self.grasp_id!r}, " if self.grasp_id else ""
+        links = "not certified" if proof is None else f"touches by {', '.join(c.link for c in proof.contacts)}"
+        verdict = (
+            "not lifted yet" if lift is None else "lifts" if lift.success else f"does not lift: {lift.failure_reason}"
+        )
+        return f"Grasp({name}{self.object!r} by {self.hand!r}, {links}, {verdict})"

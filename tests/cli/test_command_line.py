@@ -1,11 +1,13 @@
 """Parsing, help, refusals: what a typo or a bad file costs."""
 
 import importlib
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from xdex_drake.cli import main
+from xdex_drake.cli import main, output
 from xdex_drake.cli.app import COMMANDS
 
 
@@ -53,7 +55,12 @@ def test_group_alone_lists_its_commands(capsys):
         (["hand", "lits"], "`xdex hand list`"),
         (["frobnicate"], "there are"),
         (["hand", "show"], "HAND"),
-        (["object", "show", "can", "--scael", "2"], "--scael"),
+        (["object", "show", "can", "--scael", "2"], "did you mean --scale"),
+        (["grasp", "--hnd", "allegro", "--object", "can"], "--hnd; did you mean --hand"),
+        (["grasp", "--hand", "allegro", "--object", "can", "--keep_faild"], "--keep_faild; did you mean --keep-failed"),
+        (["hand", "list", "--all"], "there is no option --all"),
+        (["predict", "--hand", "alegro", "--object", "can"], "did you mean allegro"),
+        (["retarget", "missing.parquet", "--to", "shaddow"], "did you mean shadow"),
         (["object", "show", "can", "--scale", "two"], "two"),
         (["hand", "show", "alegro"], "did you mean allegro"),
         (["object", "show", "mgu"], "did you mean mug"),
@@ -153,6 +160,43 @@ def test_a_damaged_file_of_grasps_is_refused(capsys, tmp_path):
     file.write_bytes(b"PAR1 and then nothing of use")
     for command in ("lift", "view", "export"):
         assert "grasps.parquet" in refusal(capsys, command, file)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["grasp", "--hand", "alegro", "--object", "can"],
+        ["grasp", "--hand", "allegro", "--object", "cann"],
+        ["solve", "alegro_can"],
+        ["retarget", "missing.parquet", "--to", "shaddow"],
+        ["predict", "--hand", "allegro", "--object", "cann"],
+    ],
+)
+def test_a_wrong_name_is_told_before_anything_large_is_imported(words):
+    script = f"import sys; from xdex_drake.cli import main; print(main({words!r}), 'torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == ["2", "False"] and "did you mean" in done.stderr
+
+
+def test_what_a_user_edited_is_not_written_over(capsys, tmp_path):
+    out = tmp_path / "left.yaml"
+    out.write_text("# edited for hours\n")
+    assert "exists already" in refusal(capsys, "hand", "mirror", "allegro", "--out", out)
+    assert "--force" in refusal(capsys, "hand", "import", tmp_path / "hand.urdf", "--out", out)
+    assert out.read_text() == "# edited for hours\n"
+    assert main(["hand", "mirror", "allegro", "--out", str(out), "--force"]) == 0
+    assert "allegro" in out.read_text()
+
+
+def test_progress_without_a_terminal_is_a_few_plain_lines(capsys, monkeypatch):
+    monkeypatch.setattr(output, "SECONDS_A_LINE", 3600.0)
+    with output.progress(300, "lift") as bar:
+        for k in range(300):
+            bar.update()
+            bar.set_postfix(tried=k)
+    said = capsys.readouterr().err
+    assert [line.split()[1:3] for line in said.splitlines()] == [["0%", "0/300"], ["100%", "300/300"]]
+    assert "\r" not in said and "tried=299" in said
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch):

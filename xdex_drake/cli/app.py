@@ -1,6 +1,7 @@
 """All commands, and what happens around each: parsing, errors, exit status."""
 
 import contextlib
+import dataclasses
 import difflib
 import gc
 import importlib
@@ -146,14 +147,35 @@ def _parse(name: str, words: list[str]) -> Command | int:
 
     entry = COMMANDS[name]
     module = importlib.import_module(f"xdex_drake.cli.{entry.module}")
+    command = getattr(module, entry.name)
+    if (wrong := _unknown_option(command, words)) is not None:
+        return _refuse(f"{wrong}; see `xdex {name} --help`")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return cast(Command, tyro.cli(getattr(module, entry.name), prog=f"xdex {name}", args=words))
+            return cast(Command, tyro.cli(command, prog=f"xdex {name}", args=words))
     except SystemExit as stop:
         if not stop.code:
             return 0
         return _refuse(f"{_one_line(said.getvalue())}; see `xdex {name} --help`")
+
+
+def _unknown_option(command: type, words: list[str]) -> str | None:
+    """What to say of the first option that a command does not have; None where it has all of them."""
+    names = [field.name.replace("_", "-") for field in dataclasses.fields(command)]
+    options = ["--help", *(f"--{name}" for name in names)]
+    for word in words:
+        if word == "--":
+            return None
+        typed = word.partition("=")[0]
+        option = typed.replace("_", "-")
+        # Negative numbers begin with one dash, and flags may be turned off.
+        if not option.startswith("--") or option.replace("--no-", "--", 1) in options:
+            continue
+        close = difflib.get_close_matches(option, options, n=1, cutoff=0.6)
+        mend = f"did you mean {close[0]}?" if close else f"known are {', '.join(options)}"
+        return f"there is no option {typed}; {mend}"
+    return None
 
 
 def _one_line(box: str) -> str:

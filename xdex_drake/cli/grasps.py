@@ -19,6 +19,7 @@ from xdex_drake.cli.output import (
     one_thread,
     progress,
     table,
+    tell_repairs,
 )
 
 if TYPE_CHECKING:
@@ -68,8 +69,6 @@ class GraspCommand:
         """Makes the grasps, writes them, prints the closing table."""
         one_thread()
         from xdex_drake.errors import ConfigError
-        from xdex_drake.grasping.tally import Tally, counted
-        from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
 
         for name in ("count", "workers"):
             if getattr(self, name) < 1:
@@ -82,15 +81,20 @@ class GraspCommand:
         if self.html is not None:
             check_output_file(self.html, ".html")
         begin = time.perf_counter()
-        from xdex_drake.dataset.files import save_grasps
+        # Hand and object first: what is wrong with them is told before the search and its torch are imported.
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.programs.obstacles import find_obstacles, sizes
-        from xdex_drake.scene.facts import SceneFacts
         from xdex_drake.scene.object import load_object
-        from xdex_drake.scene.tabletop import make_scene
 
         hand = load_hand(self.hand)
         model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
+        tell_repairs(model)
+        from xdex_drake.dataset.files import save_grasps
+        from xdex_drake.grasping.tally import Tally, counted
+        from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
+        from xdex_drake.programs.obstacles import find_obstacles, sizes
+        from xdex_drake.scene.facts import SceneFacts
+        from xdex_drake.scene.tabletop import make_scene
+
         model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
         scene = make_scene(model, seed=self.scene_seed)
         obstacles = find_obstacles(hand, scene)
@@ -184,17 +188,18 @@ class Retarget:
         """Retargets, writes, prints a line a hand."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths_entry
-        from xdex_drake.dataset.grasp_file import write_grasps
-        from xdex_drake.dataset.rows import rows_of
         from xdex_drake.errors import ConfigError
-        from xdex_drake.grasping.tally import Tally
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.jobs.stored import retarget_all, retarget_units
 
         if not self.to:
             raise ConfigError("--to names no hand; give at least one")
         targets = {target: load_hand(target) for target in self.to}
+        from xdex_drake.dataset.files import hand_paths_entry
+        from xdex_drake.dataset.grasp_file import write_grasps
+        from xdex_drake.dataset.rows import rows_of
+        from xdex_drake.grasping.tally import Tally
+        from xdex_drake.jobs.stored import retarget_all, retarget_units
+
         stored = _grasps_of(self.file)
         units = retarget_units(stored, self.to)
         rows = []

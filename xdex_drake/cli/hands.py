@@ -150,6 +150,7 @@ class HandImport:
         root: A folder in which meshes and included files may lie besides the hand's own, as --root ..
         package: Where ROS packages that the file names are, as --package my_hand=../my_hand.
         html: Write a page with the hand, a slider for every joint, and each decision.
+        force: Write over a description that is there already, even if it was edited.
     """
 
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE")]]
@@ -160,11 +161,12 @@ class HandImport:
     root: Path | None = None
     package: tuple[str, ...] = ()
     html: Path | None = None
+    force: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> int:
         """Prints the decisions and writes the files."""
         if self.out is not None:
-            check_output_file(self.out, ".yaml")
+            check_output_file(self.out, ".yaml", overwrite=self.force)
         if self.html is not None:
             check_output_file(self.html, ".html")
         from xdex_drake.hand.importing.files import import_hand
@@ -176,9 +178,7 @@ class HandImport:
         hand = imported.hand
         out = self.out or Path(f"{hand.name}.yaml")
         if self.out is None:
-            check_output_file(out, ".yaml")
-            if out.exists():
-                raise ConfigError(f"{out}: exists already; give --out to say where the hand shall be written")
+            check_output_file(out, ".yaml", overwrite=self.force)
         coupled = sum(joint.coupling is not None for joint in hand.joints)
         print(
             facts(
@@ -269,14 +269,16 @@ class HandMirror:
     Attributes:
         hand: A library name, a generated hand such as g0-0137, or the path of a .yaml, .urdf, .xml or .sdf file.
         out: Where to write the description, a .yaml file.
+        force: Write over a description that is there already, even if it was edited.
     """
 
     hand: tyro.conf.Positional[HandName]
     out: Path
+    force: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> int:
         """Writes the file."""
-        check_output_file(self.out, ".yaml")
+        check_output_file(self.out, ".yaml", overwrite=self.force)
         from xdex_drake.hand.library import load_hand
         from xdex_drake.hand.mirror import mirror
         from xdex_drake.hand.yaml_file import write_hand

@@ -1,15 +1,24 @@
 """What commands share: tables, progress bars, interruption, checks of where results shall go."""
 
 import os
+import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from xdex_drake.errors import ConfigError
+
+if TYPE_CHECKING:
+    from xdex_drake.scene.object import ObjectModel
+
+SECONDS_A_LINE = 5.0
+"""Least time between two lines of progress where there is no terminal [s]."""
 
 
 def table(rows: Sequence[Sequence[object]], header: Sequence[str] = ()) -> str:
@@ -51,8 +60,37 @@ def counts(reasons: Mapping[str, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in ordered) or "-"
 
 
+class Lines(tqdm):
+    """Progress where there is no terminal: plain lines, seldom enough for a log, instead of a bar that is redrawn."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        """As of `tqdm`; writes the first line."""
+        self.told, self.due = None, 0.0
+        super().__init__(*args, **options, ncols=0, mininterval=SECONDS_A_LINE)
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+        """Writes a line where it is time for one, and there is news since the last."""
+        if time.monotonic() >= self.due and self.told != (self.n, self.postfix):
+            self.told, self.due = (self.n, self.postfix), time.monotonic() + SECONDS_A_LINE
+            self.fp.write(f"{self}\n")
+        return True
+
+    def clear(self, nolock: bool = False) -> None:
+        """Nothing: what was written stays."""
+
+    def close(self) -> None:
+        """Writes the last line."""
+        if not self.disable:
+            self.due = 0.0
+            self.display()
+            self.disable = True
+            self._decr_instances(self)
+
+
 def progress(total: int | None, what: str) -> tqdm:
-    """A progress bar on standard error."""
+    """A progress bar on standard error; plain lines where that is no terminal."""
+    if not sys.stderr.isatty():
+        return Lines(total=total, desc=what, smoothing=0.1)
     # Without a thread of its own: a signal that it received would interrupt the start of a worker half-way.
     tqdm.monitor_interval = 0
     return tqdm(total=total, desc=what, dynamic_ncols=True, smoothing=0.1, mininterval=0.2)
@@ -98,17 +136,31 @@ def check_writable(path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
 
 
-def check_output_file(path: Path, suffix: str) -> None:
+def check_output_file(path: Path, suffix: str, *, overwrite: bool = True) -> None:
     """Refuses an output file of another type, a folder in its place, or a folder that cannot be written.
+
+    Args:
+        path: The file.
+        suffix: Its type.
+        overwrite: Whether what is there already may go: not where it may be a user's own work.
 
     Raises:
         ConfigError: One of these; the message names the path.
     """
+    if not overwrite and path.exists():
+        raise ConfigError(f"{path}: exists already, and may have been edited; choose another --out, or give --force")
     if path.suffix.lower() != suffix:
         raise ConfigError(f"{path}: results are written as {suffix}; choose a path that ends in {suffix}")
     if path.is_dir():
         raise ConfigError(f"{path}: is a folder; choose the path of a file")
     check_writable(path)
+
+
+def tell_repairs(model: "ObjectModel") -> None:
+    """Says on standard error what was guessed about an object's file, or left out of it."""
+    if model.path is not None:
+        for repair in model.report.repairs:
+            print(f"xdex: {model.path.name}: {repair}", file=sys.stderr)
 
 
 def one_thread() -> None:

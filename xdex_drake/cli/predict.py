@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from xdex_drake.cli.output import check_output_file, keeping_finished_work, one_thread, progress, table
+from xdex_drake.cli.output import check_output_file, keeping_finished_work, one_thread, progress, table, tell_repairs
 
 
 @dataclass(frozen=True)
@@ -55,22 +55,24 @@ class Predict:
         if not self.hand or min(self.count, self.workers) < 1 or min(self.seed, self.scene_seed) < 0:
             raise ConfigError("--hand needs a hand, --count and --workers 1 or more, --seed and --scene-seed 0 or more")
         check_output_file(self.out, ".parquet")
+        from xdex_drake.hand.library import load_hand
+        from xdex_drake.scene.object import load_object
+
+        hands = {name: load_hand(name) for name in self.hand}
+        shape = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
+        tell_repairs(shape)
         from xdex_drake.dataset.files import hand_paths_entry
         from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.rows import rows_of
         from xdex_drake.grasping.tally import Tally
-        from xdex_drake.hand.library import load_hand
         from xdex_drake.jobs.grasps import propose_batches
         from xdex_drake.learning.checkpoint import checkpoint_header
         from xdex_drake.learning.proposer import ModelProposer, default_checkpoint
         from xdex_drake.scene.facts import SceneFacts
-        from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import make_scene
 
-        hands = {name: load_hand(name) for name in self.hand}
         checkpoint = self.model or default_checkpoint()
         checkpoint_header(checkpoint)  # a file that cannot be used is told before any work
-        shape = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
         scene = make_scene(shape, seed=self.scene_seed)
         rows, tallies = [], {name: Tally() for name in self.hand}
         batches = propose_batches(

@@ -46,9 +46,13 @@ class Solve:
             check_output_file(self.html, ".html")
         from xdex_drake.data_files import data_folder
         from xdex_drake.errors import ConfigError
+        from xdex_drake.problems.names import list_problems, problem_file
+
+        if self.problem:
+            problem_file(self.problem)  # a name that is none is told before the solvers are imported
         from xdex_drake.grasping.reasons import in_words
         from xdex_drake.grasping.tally import counted
-        from xdex_drake.problems.files import list_problems, load_any_problem
+        from xdex_drake.problems.files import load_any_problem
         from xdex_drake.problems.wrench import WrenchProblem as ContactsAlone
         from xdex_drake.programs.obstacles import sizes
         from xdex_drake.programs.solve import SOLVERS

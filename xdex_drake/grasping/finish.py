@@ -14,6 +14,7 @@ from xdex_drake.contact.cones import contact_frames, effort_map
 from xdex_drake.contact.grasp_map import Effort
 from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.contact.penetration import penetration_depth
+from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
@@ -163,7 +164,12 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
 
     Returns:
         The grasp, or the reason why there is none.
+
+    Raises:
+        ConfigError: The point is of another hand.
     """
+    if point.k.hand is not hand and point.k.hand.name != hand.name:
+        raise ConfigError(f"the point is of hand {point.k.hand.name!r}, not of {hand.name!r}; give its own hand")
     found = certified(hand, point, demands)
     if isinstance(found, Rejection):
         return Outcome(None, found)

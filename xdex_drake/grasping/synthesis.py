@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp
 from xdex_drake.grasping.finish import GIVEN, SEARCHED, Demands, finish
 from xdex_drake.grasping.proposers import Search
@@ -203,7 +204,12 @@ def synthesize(
 
     Yields:
         Every certified grasp with its lift, failed ones too, until `count` have lifted or time is up.
+
+    Raises:
+        ConfigError: `count` is less than 1.
     """
+    if count < 1:
+        raise ConfigError(f"count is {count}; give 1 or more")
     tally = tally if tally is not None else Tally()
     start = time.perf_counter()
     rig = lift_rig(hand, scene, protocol=protocol)

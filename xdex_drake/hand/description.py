@@ -140,6 +140,11 @@ class Hand:
     sources: dict[str, str]
     ignored_contacts: tuple[tuple[str, str], ...] = ()
 
+    def __repr__(self) -> str:
+        """One line."""
+        fingers = ", ".join(finger.name for finger in self.fingers)
+        return f"Hand({self.name!r}, {self.side}, {len(self.q_rest)} actuated of {len(self.joints)} joints, {fingers})"
+
     @cached_property
     def link_index(self) -> dict[str, int]:
         """Index of each link by its name."""

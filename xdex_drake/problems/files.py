@@ -5,7 +5,6 @@ Tutorials, tests, benchmarks and `xdex solve` use the same files. They ship with
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,11 +12,11 @@ from typing import Literal
 
 import yaml
 
-from xdex_drake.data_files import data_folder
 from xdex_drake.errors import ConfigError, ProblemFileError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.library import load_hand
+from xdex_drake.problems.names import list_problems, problem_file
 from xdex_drake.problems.wrench import WrenchProblem
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
 from xdex_drake.programs.grasp_types import GraspType
@@ -28,6 +27,17 @@ from xdex_drake.programs.solve import ProgramResult
 from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, load_object
 from xdex_drake.scene.tabletop import Scene, make_scene
 from xdex_drake.typed_yaml import NOT_IN_FILE, read_typed_yaml
+
+__all__ = [
+    "ObjectSpec",
+    "Problem",
+    "Reaches",
+    "force_closure_programs",
+    "list_problems",
+    "load_any_problem",
+    "load_problem",
+    "problem_scene",
+]
 
 
 @dataclass(frozen=True)
@@ -188,11 +198,6 @@ class Problem:
         return self.path.stem
 
 
-def list_problems() -> tuple[str, ...]:
-    """Names of the library's problems, in alphabetical order."""
-    return tuple(sorted(path.stem for path in data_folder("problems").glob("*.yaml")))
-
-
 def load_problem(name_or_path: str | Path) -> Problem:
     """Loads a problem of a hand and an object; for those of contacts alone see `load_any_problem`.
 
@@ -223,14 +228,7 @@ def load_any_problem(name_or_path: str | Path) -> Problem | WrenchProblem:
     Raises:
         ProblemFileError: There is no such problem, or its file cannot be used; the message names file and field.
     """
-    path = Path(name_or_path)
-    if not path.suffix and path.name == str(name_or_path):
-        names = list_problems()
-        if path.name not in names:
-            close = difflib.get_close_matches(path.name, names, n=3, cutoff=0.4)
-            mend = f"did you mean {' or '.join(close)}?" if close else f"known are {', '.join(names)}"
-            raise ProblemFileError(f"there is no problem {path.name!r}; {mend} (a path to a .yaml file also works)")
-        path = data_folder("problems") / f"{path.name}.yaml"
+    path = problem_file(name_or_path)
     kind = WrenchProblem if _program(path) == "wrench" else Problem
     return replace(read_typed_yaml(path, kind, error=ProblemFileError), path=path)
 

@@ -307,6 +307,14 @@ class GraspProgram:
             lines.append(f"  {block.name:<14}{len(block.lower):>9}  {violation:>12}  {block.meaning}")
         return "\n".join(lines)
 
+    def __repr__(self) -> str:
+        """One line."""
+        parts = self.terms()
+        return (
+            f"GraspProgram({self.name!r}, {self.hand.name} on {self.scene.object.name}, "
+            f"{self.prog.num_vars()} variables, {len(parts.costs)} costs, {len(parts.constraints)} constraints)"
+        )
+
     def __str__(self) -> str:
         """The table at the initial guess."""
         return self.table()

@@ -106,6 +106,11 @@ class ObjectModel:
     digest: str
     report: PreparationReport
 
+    def __repr__(self) -> str:
+        """One line."""
+        size = " x ".join(f"{100.0 * length:.1f}" for length in np.ptp(self.vertices, axis=0))
+        return f"ObjectModel({self.name!r}, {size} cm, {self.mass:.3g} kg, {len(self.parts)} convex parts)"
+
     def __getstate__(self) -> dict[str, Any]:
         """The fields alone, for another process: what is computed from them on demand cannot all be copied."""
         return {item.name: getattr(self, item.name) for item in fields(self)}

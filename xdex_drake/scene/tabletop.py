@@ -55,6 +55,10 @@ class Scene:
     X_WO: RigidTransform
     scene_id: str
 
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Scene({self.scene_id!r}, {self.object!r})"
+
 
 def make_scene(
     object: ObjectModel, *, seed: int = 0, pose: RigidTransform | None = None, spread_m: float = 0.0

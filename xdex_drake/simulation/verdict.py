@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
+from xdex_drake.scene.belonging import check_belonging, check_liftable
 from xdex_drake.simulation.hold import NOT_LIFTED, Grip, Pusher, play_hold
 from xdex_drake.simulation.protocol import LiftProtocol
 
@@ -71,7 +72,12 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
     Returns:
         Verdict, with the first failure reason of `FAILURE_REASONS` that matches where it failed, and what came after
         the lift where the protocol goes on.
+
+    Raises:
+        ConfigError: Grasp, hand and scene do not belong together, or the grasp has no pre-grasp or squeeze.
     """
+    check_belonging(grasp, player.hand, player.scene)
+    check_liftable(grasp)
     protocol = player.protocol
     # The limit is on time of the processor, so that a busy machine does not change a verdict.
     begin, cpu_begin = time.perf_counter(), time.process_time()

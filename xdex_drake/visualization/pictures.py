@@ -31,6 +31,7 @@ from pydrake.systems.sensors import CameraInfo
 from xdex_drake.errors import ConfigError, MissingExtra
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
+from xdex_drake.scene.belonging import check_belonging
 from xdex_drake.scene.camera import survives
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
@@ -233,8 +234,10 @@ def render_grasp(
         Red, green and blue, shape (height, width, 3).
 
     Raises:
+        ConfigError: Grasp, hand and scene do not belong together.
         MissingExtra: This machine cannot render.
     """
+    check_belonging(grasp, hand, scene)
     return take_picture(make_studio(hand, scene), grasp, size=size, X_WC=X_WC)
 
 

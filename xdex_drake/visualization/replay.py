@@ -30,6 +30,7 @@ from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
+from xdex_drake.scene.belonging import check_belonging, check_liftable
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
 from xdex_drake.scene.plant import build_plant
 from xdex_drake.scene.tabletop import Scene
@@ -198,7 +199,8 @@ def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
     Raises:
         ConfigError: The grasp has no pre-grasp or no squeeze, or Meshcat finds no free port.
     """
-    _require_lift(grasp)
+    check_belonging(grasp, hand, scene)
+    check_liftable(grasp)
     meshcat = start_meshcat(live=False)
     try:
         lift, frames = _record(meshcat, grasp, hand, scene, protocol)
@@ -227,13 +229,6 @@ def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
     return record_lift(grasp, hand, scene, protocol=protocol).html
 
 
-def _require_lift(grasp: Grasp) -> None:
-    if grasp.q_pregrasp is None or grasp.X_WH_pregrasp is None or grasp.tau_squeeze is None:
-        raise ConfigError(
-            f"grasp {grasp.grasp_id or grasp.hand}: it has no pre-grasp or squeeze; lift it first, or show it still"
-        )
-
-
 def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[Scene]) -> None:
     """Draws grasps side by side, with contacts, friction cones and forces of their certificates.
 
@@ -244,12 +239,14 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
         scenes: The scene of each.
 
     Raises:
-        ConfigError: There is no grasp, or the lengths differ.
+        ConfigError: There is no grasp, the lengths differ, or what stands in one place does not belong together.
     """
     if not grasps or not len(grasps) == len(hands) == len(scenes):
         raise ConfigError(
             f"there are {len(grasps)} grasps, {len(hands)} hands and {len(scenes)} scenes; give as many of each"
         )
+    for grasp, hand, scene in zip(grasps, hands, scenes, strict=True):
+        check_belonging(grasp, hand, scene)
     direction = best_direction(grasps[0], hands[0], scenes[0])
     ahead = -np.array([direction[0], direction[1], 0.0]) / np.hypot(direction[0], direction[1])
     # Side by side as the camera sees them; several rows are seen from higher up.
@@ -377,7 +374,8 @@ def view_live(
     if not grasps:
         raise ConfigError("there is no grasp to lift; give one")
     grasp, hand, scene = grasps[0], hands[0], scenes[0]
-    _require_lift(grasp)
+    check_belonging(grasp, hand, scene)
+    check_liftable(grasp)
     meshcat = start_meshcat(port)
     _record(meshcat, grasp, hand, scene, protocol)
     X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)

@@ -32,6 +32,11 @@ class Candidates:
     energy: Array
     terms: dict[str, Array]
 
+    def __repr__(self) -> str:
+        """One line."""
+        energy = f"energy {self.energy.min():.3g} to {self.energy.max():.3g}" if len(self.energy) else "none"
+        return f"Candidates({len(self.energy)}, {energy})"
+
 
 @dataclass
 class State:

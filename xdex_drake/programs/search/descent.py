@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from xdex_drake.arrays import Array
+from xdex_drake.errors import ConfigError
 from xdex_drake.hand.batched_kinematics import rotation_step
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.search.candidates import Candidates, State, candidates_of_state
@@ -92,7 +93,12 @@ def search(
 
     Returns:
         The candidates that are left of them (`settings.survivors`), lowest energy first.
+
+    Raises:
+        ConfigError: `count` is less than 1.
     """
+    if count < 1:
+        raise ConfigError(f"a search of {count} starts finds nothing; give 1 or more")
     problem = search_problem(hand, scene, settings, device=device)
     with torch.no_grad(), _one_thread():
         state = sample_starts(problem, hand, scene, count, seed)

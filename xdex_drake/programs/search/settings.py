@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import get_args
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.programs.contact_forces import FORCE_FRICTION
@@ -82,11 +83,20 @@ class SearchSettings:
     spread: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuses a direction that is none.
+        """Refuses what can be no setting.
 
         Raises:
-            ConfigError: It is zero, or points up so that the hand would have to come from below the table.
+            ConfigError: A number is out of range, the grasp type is none, or the approach is zero, or points up so
+                that the hand would have to come from below the table.
         """
+        kinds = get_args(GraspType)
+        if self.grasp_type not in kinds:
+            raise ConfigError(f"grasp_type is {self.grasp_type!r}; choose one of {', '.join(kinds)}")
+        for name in ("contacts", "iterations", "oversample"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}; give 1 or more")
+        if not 0.0 <= self.spread < 0.5:
+            raise ConfigError(f"spread is {self.spread:g} m; give a distance between 0 and 0.5")
         if self.approach is not None and checked_direction(self.approach)[2] > LOWEST_APPROACH:
             raise ConfigError(
                 f"approach {list(self.approach)} comes from below the table; give a direction that points down or "
