@@ -56,6 +56,7 @@ COMMANDS: dict[str, Entry] = {
     "solve": Entry("solve", "Solve", "solve a problem file and read its costs and constraints"),
     "grasp": Entry("grasps", "GraspCommand", "grasps that are optimised, certified and lifted"),
     "retarget": Entry("grasps", "Retarget", "the same grasps by other hands"),
+    "follow": Entry("follow", "Follow", "a hand follows a person's: key points of a camera to joint values"),
     "lift": Entry("grasps", "LiftCommand", "lift stored grasps again"),
     "dataset generate": Entry("datasets", "DatasetGenerate", "make a paired data set, or go on with one"),
     "dataset info": Entry("datasets", "DatasetInfoCommand", "count what a data set holds"),

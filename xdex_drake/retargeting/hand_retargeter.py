@@ -204,6 +204,18 @@ class HandRetargeter:
         for frame in points:
             yield stream.follow(frame)
 
+    def scaled_points(self, points: Array) -> Array:
+        """What the hand follows, to be shown with it: key points scaled about the wrist, mirrored where it is.
+
+        Args:
+            points: Key points [m] in W, shape (T, 21, 3).
+
+        Returns:
+            Points in W [m], shape (T, 21, 3).
+        """
+        R_WH, p_WH, p_HPs = self._at_wrist(_frames(points, 3), None)
+        return self.scale * p_HPs @ np.swapaxes(R_WH, -1, -2) + p_WH[:, None]
+
     def _start(self, q: Array | None) -> Array:
         low, high = self.hand.limits
         start = self.hand.q_rest if q is None else np.asarray(q, dtype=float)

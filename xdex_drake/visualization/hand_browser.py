@@ -50,7 +50,7 @@ def browser_page(
     meshcat = start_meshcat(live=False)
     try:
         for k, hand in enumerate(hands):
-            _draw(meshcat, f"{_PATH}/{k}", hand)
+            draw_links(meshcat, f"{_PATH}/{k}", hand)
             if extend is not None:
                 extend(meshcat, f"{_PATH}/{k}", hand)
         _aim(meshcat, max(hand_size(hand) for hand in hands))
@@ -71,7 +71,8 @@ def _aim(meshcat: Meshcat, size: float) -> None:
     meshcat.SetCameraPose(target + 2.3 * size * toward, target)
 
 
-def _draw(meshcat: Meshcat, path: str, hand: Hand) -> None:
+def draw_links(meshcat: Meshcat, path: str, hand: Hand) -> None:
+    """Draws each link k of a hand below `PATH/k`, in its own frame; where links are is left to the page."""
     for k, (link, color) in enumerate(zip(hand.links, link_colors(hand), strict=True)):
         for n, primitive in enumerate(link.geometry):
             shape, X_LG = drake_shape(primitive, f"{link.name}_{n}")

@@ -118,7 +118,7 @@ def start_meshcat(port: int | None = None, *, live: bool = True) -> Meshcat:
     return meshcat
 
 
-def _aim(meshcat: Meshcat, X_WC: RigidTransform, p_WT: Array) -> None:
+def aim(meshcat: Meshcat, X_WC: RigidTransform, p_WT: Array) -> None:
     """Puts the camera at X_WC's position, orbiting about the point of its line of sight nearest to p_WT."""
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=float(np.degrees(FOV_Y)), aspect=1.5, near=0.01, far=20.0))
     p_WC, forward = X_WC.translation(), X_WC.rotation().matrix()[:, 2]
@@ -205,8 +205,8 @@ def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
     try:
         lift, frames = _record(meshcat, grasp, hand, scene, protocol)
         X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)
-        _aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
-        page = _with_card(meshcat.StaticHtml(), *_lift_card(grasp, hand, lift))
+        aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
+        page = with_card(meshcat.StaticHtml(), *_lift_card(grasp, hand, lift))
     finally:
         # The diagram that drew on Meshcat may be part of a reference cycle; its port is to be free again now.
         del meshcat
@@ -271,7 +271,7 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
     meshcat.SetTransform("/drake/table", RigidTransform([center[0], center[1], -0.05]))
     _draw_grid(meshcat, center, 0.05 * np.ceil((half + 0.3) / 0.05))
     X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.3 if len(grasps) == 1 else 1.1)
-    _aim(meshcat, X_WC, center)
+    aim(meshcat, X_WC, center)
 
 
 def _draw_grasp(meshcat: Meshcat, name: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array) -> None:
@@ -335,7 +335,7 @@ def grasp_page(grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[
     meshcat = start_meshcat(live=False)
     try:
         draw_grasps(meshcat, grasps, hands, scenes)
-        page = _with_card(meshcat.StaticHtml(), *_still_card(grasps, hands, title))
+        page = with_card(meshcat.StaticHtml(), *_still_card(grasps, hands, title))
     finally:
         del meshcat
         gc.collect()
@@ -379,7 +379,7 @@ def view_live(
     meshcat = start_meshcat(port)
     _record(meshcat, grasp, hand, scene, protocol)
     X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)
-    _aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
+    aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
     return meshcat
 
 
@@ -412,7 +412,7 @@ def _still_card(grasps: Sequence[Grasp], hands: Sequence[Hand], title: str) -> t
     return title or ", ".join(names), "", rows
 
 
-def _with_card(page: str, title: str, verdict: str, rows: Sequence[tuple[str, str]]) -> str:
+def with_card(page: str, title: str, verdict: str, rows: Sequence[tuple[str, str]]) -> str:
     """A static page of Meshcat with a title, and a card in its corner."""
     lines = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in rows)
     card = f"""
