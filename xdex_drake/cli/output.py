@@ -84,15 +84,14 @@ class Lines(tqdm):
             self.due = 0.0
             self.display()
             self.disable = True
-            self._decr_instances(self)
 
 
 def progress(total: int | None, what: str) -> tqdm:
     """A progress bar on standard error; plain lines where that is no terminal."""
-    if not sys.stderr.isatty():
-        return Lines(total=total, desc=what, smoothing=0.1)
     # Without a thread of its own: a signal that it received would interrupt the start of a worker half-way.
     tqdm.monitor_interval = 0
+    if not sys.stderr.isatty():
+        return Lines(total=total, desc=what, smoothing=0.1)
     return tqdm(total=total, desc=what, dynamic_ncols=True, smoothing=0.1, mininterval=0.2)
 
 
