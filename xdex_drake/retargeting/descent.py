@@ -26,8 +26,11 @@ TURN = 0.6
 CLOSE = 0.6
 """After a step shorter than this the full second derivative is used [rad]."""
 
-LAST = 0.03
+LAST = 0.06
 """Newton's steps shrink quadratically: after one shorter than this the next is not worth its while [rad]."""
+
+NEAR, FAR = 0.05, 0.01
+"""Damping to start with, as a share of the stiffness that one point of all weight gives a joint `ARM` away."""
 
 STILL = 1e-5
 """A frame is done where a step shorter than this gains nothing [rad]."""
@@ -222,7 +225,7 @@ def descend(problem: Problem, q: Array, targets: Targets, *, near: bool) -> Foun
     q, q_before, n = q.copy(), q.copy(), q.shape[1]
     seen = look(problem, q, q_before, targets)
     unit = (targets.weights.sum(axis=1) * ARM * ARM / problem.objective.beta)[:, None]
-    damping, exact = np.full(len(q), 1e-3 if near else 1e-2), np.full(len(q), 1.0 if near else 0.0)
+    damping, exact = np.full(len(q), NEAR if near else FAR), np.full(len(q), 1.0 if near else 0.0)
     found = Found(q.copy(), np.zeros_like(seen.r), np.zeros(len(q)))
     frames = np.arange(len(q))
     for _ in range(problem.iterations):
