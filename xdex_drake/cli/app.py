@@ -171,7 +171,7 @@ def _unknown_option(command: type, words: list[str]) -> str | None:
         typed = word.partition("=")[0]
         option = typed.replace("_", "-")
         # Negative numbers begin with one dash, and flags may be turned off.
-        if not option.startswith("--") or option.replace("--no-", "--", 1) in options:
+        if not option.startswith("--") or {option, option.replace("--no-", "--", 1)} & {*options}:
             continue
         close = difflib.get_close_matches(option, options, n=1, cutoff=0.6)
         mend = f"did you mean {close[0]}?" if close else f"known are {', '.join(options)}"

@@ -74,8 +74,8 @@ SEARCHED = Demands(squeezes=((0.55, 1.5),), task_margin=1.01, foretold=0.0)
 """For grasps that a search finds, since it finds more. Measured on Allegro: of grasps whose forces need at most 0.55 of
 the friction 84 % lift, on meshes where half lift of those that need up to 0.7, and 29 % of the others
 (`studies/force_closure`); 87 % lift of those with a task margin above 1, and 63 % of those below, which do not even
-resist a push of their own weight (`studies/margins`). Of lifted grasps that are foretold to hold, some 88 % are held
-and pushed without loss, and 67 % of all (`studies/holds`)."""
+resist a push of their own weight (`studies/margins`). Of lifted grasps that are foretold to hold, 86 % are held
+and pushed without loss, and 64 % of all (`studies/holds`)."""
 
 
 @dataclass(frozen=True)

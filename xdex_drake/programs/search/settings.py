@@ -92,9 +92,9 @@ class SearchSettings:
         kinds = get_args(GraspType)
         if self.grasp_type not in kinds:
             raise ConfigError(f"grasp_type is {self.grasp_type!r}; choose one of {', '.join(kinds)}")
-        for name in ("contacts", "iterations", "oversample"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} is {getattr(self, name)}; give 1 or more")
+        for name, least in (("contacts", 1), ("iterations", 0), ("oversample", 1)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} is {getattr(self, name)}; give {least} or more")
         if not 0.0 <= self.spread < 0.5:
             raise ConfigError(f"spread is {self.spread:g} m; give a distance between 0 and 0.5")
         if self.approach is not None and checked_direction(self.approach)[2] > LOWEST_APPROACH:
