@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
@@ -15,6 +17,9 @@ from xdex_drake.programs.force_closure import contact_set, polish_program
 from xdex_drake.programs.point import Point
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT
+
+RESTORED = replace(GIVEN, squeezes=(*GIVEN.squeezes, (0.97, 0.25)), touch_m=4e-4, smoothing_m=6e-4, penetration_m=6e-4)
+"""A little wider than what was asked of the grasp, so that rounding does not take it across a bound."""
 
 
 def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDArray[np.bool_]) -> Outcome:
@@ -32,10 +37,10 @@ def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDA
     """
     k = Configuration.at(hand, X_WH, q)
     contacts = contact_set(hand, scene, k, slots)
-    found = certified(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))), GIVEN)
+    found = certified(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))), RESTORED)
     if not isinstance(found, Rejection):
         # Idle fingers rest already.
-        outcome = prepared(hand, scene, found[0], found[1], protocol=LIFT, demands=GIVEN)
+        outcome = prepared(hand, scene, found[0], found[1], protocol=LIFT, demands=RESTORED)
         if outcome.grasp is not None:
             return outcome
-    return polish(polish_program(hand, scene, X_WH, q, slots))
+    return polish(polish_program(hand, scene, X_WH, q, slots), demands=RESTORED)
