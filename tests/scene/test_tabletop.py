@@ -24,6 +24,7 @@ from xdex_drake.scene.tabletop import (
     drop,
     make_scene,
     point_cloud,
+    pose_of,
     random_scene,
     same_pose,
     stable_pose,
@@ -74,17 +75,41 @@ def test_poses_depend_on_the_seed_alone(objects):
 
 
 def test_scene_ids_tell_scenes_apart(objects):
-    pose = RigidTransform([0.0, 0.0, 0.2])
+    pose = RigidTransform([0.1, 0.0, 0.0])
     scenes = [
         make_scene(objects["box"]),
         make_scene(objects["box"], seed=1),
         make_scene(objects["can"]),
         make_scene(objects["box"], pose=pose),
-        make_scene(objects["box"], pose=RigidTransform(RotationMatrix.MakeXRotation(0.1), [0.0, 0.0, 0.2])),
+        make_scene(objects["box"], pose=RigidTransform(RotationMatrix.MakeZRotation(0.1), [0.0, 0.0, 0.0])),
     ]
     assert len({scene.scene_id for scene in scenes}) == len(scenes)
     assert make_scene(objects["box"], pose=pose).scene_id == scenes[3].scene_id
     assert scenes[3].X_WO is pose
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ([0.0, 0.0, -0.03], "lowest point is 30 mm below the table"),
+        ([0.5, 0.0, 0.75], "lowest point is 750 mm above the table"),
+        ([3.0, 1.0, 0.0], "beyond the table"),
+    ],
+)
+def test_poses_of_a_users_own_are_checked(objects, place, said):
+    with pytest.raises(ConfigError, match=said):
+        make_scene(objects["box"], pose=RigidTransform(place))
+
+
+def test_poses_have_the_numbers_that_are_shown(objects):
+    poses = stable_poses(objects["can"])
+    for k, pose in enumerate(poses):
+        assert pose_of(objects["can"], number=k).IsExactlyEqualTo(pose.X_WO)
+    upright = make_scene(objects["can"], pose=pose_of(objects["can"], upright=True))
+    assert upright.X_WO.rotation().matrix()[2, 2] > 0.99
+    for number in (len(poses), -1):
+        with pytest.raises(ConfigError, match=f"no pose {number}"):
+            pose_of(objects["can"], number=number)
 
 
 def test_point_cloud_in_world_and_object(objects):

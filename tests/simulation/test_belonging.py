@@ -38,7 +38,7 @@ def grasp(allegro, scene):
 
 
 def _elsewhere(scene):
-    return make_scene(scene.object, pose=RigidTransform(scene.X_WO.rotation(), [0.1, 0.0, 0.055]))
+    return make_scene(scene.object, pose=RigidTransform(scene.X_WO.rotation(), [0.1, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("use", [lift, record_lift, lambda g, h, s: grasp_page([g], [h], [s])])

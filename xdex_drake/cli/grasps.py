@@ -43,8 +43,14 @@ class GraspCommand:
         out: The file of grasps.
         scale: Factor from the mesh file's unit to metres; guessed by the size where not given.
         mass: Mass of the object [kg].
+        density: Density [kg/m^3] of the material, that of the walls of a cup; instead of the mass.
         friction: Coefficient of friction.
         scene_seed: Choice of the pose at which the object rests on the table; 0 is the most probable one.
+        pose: Number of that pose, as `xdex object show` lists them; instead of --scene-seed.
+        upright: Take the pose at which z of the object's file points up; instead of --scene-seed.
+        contacts: Greatest number of fingers that touch.
+        grasp_type: any, pinch (thumb and one finger), tripod (thumb and two) or power (with the palm).
+        approach: Direction in which the palm comes, within 20 degrees, such as 0 0 -1 for from above.
         time_limit: Seconds after which what was found is all there is.
         keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
         html: Also write a page that replays the first grasps.
@@ -58,8 +64,14 @@ class GraspCommand:
     out: Path = Path("grasps.parquet")
     scale: float | None = None
     mass: float = 0.1
+    density: float | None = None
     friction: float = 0.6
     scene_seed: int = 0
+    pose: int | None = None
+    upright: tyro.conf.FlagCreatePairsOff[bool] = False
+    contacts: int = 4
+    grasp_type: Literal["any", "pinch", "tripod", "power"] = "any"
+    approach: tuple[float, float, float] | None = None
     time_limit: float = 120.0
     keep_failed: tyro.conf.FlagCreatePairsOff[bool] = False
     html: Path | None = None
@@ -73,6 +85,8 @@ class GraspCommand:
         for name in ("count", "workers"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name} is {getattr(self, name)}; give 1 or more")
+        if (self.pose is not None) + self.upright + (self.scene_seed > 0) > 1:
+            raise ConfigError("--pose, --upright and --scene-seed each choose how the object lies; give one of them")
         if self.seed < 0 or self.scene_seed < 0:
             raise ConfigError("--seed and --scene-seed must be 0 or more")
         if not self.time_limit > 0.0:
@@ -86,23 +100,27 @@ class GraspCommand:
         from xdex_drake.scene.object import load_object
 
         hand = load_hand(self.hand)
-        model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
+        model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction, density=self.density)
         tell_repairs(model)
         from xdex_drake.dataset.files import save_grasps
         from xdex_drake.grasping.tally import Tally, counted
         from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
         from xdex_drake.programs.obstacles import find_obstacles, sizes
+        from xdex_drake.programs.search import SearchSettings
         from xdex_drake.scene.facts import SceneFacts
-        from xdex_drake.scene.tabletop import make_scene
+        from xdex_drake.scene.tabletop import make_scene, pose_of
 
+        search = SearchSettings(contacts=self.contacts, grasp_type=self.grasp_type, approach=self.approach)
         model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
-        scene = make_scene(model, seed=self.scene_seed)
-        obstacles = find_obstacles(hand, scene)
+        chosen = self.pose is not None or self.upright
+        pose = pose_of(model, number=self.pose, upright=self.upright) if chosen else None
+        scene = make_scene(model, seed=self.scene_seed, pose=pose)
+        obstacles = find_obstacles(hand, scene, contacts=self.contacts, grasp_type=self.grasp_type)
         if obstacles:
             print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
             return 1
         preparation = time.perf_counter() - begin
-        request = GraspRequest(self.hand, SceneFacts.of(scene), self.seed)
+        request = GraspRequest(self.hand, SceneFacts.of(scene), self.seed, search=search)
         tally, batches_done = Tally(), 0
         kept: list[Grasp] = []
         lifted = 0

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
     from xdex_drake.grasping.proposers import Proposer
     from xdex_drake.grasping.tally import Tally
+    from xdex_drake.programs.search import SearchSettings
 
 _log = logging.getLogger(__name__)
 
@@ -45,12 +46,14 @@ class GraspRequest:
         scene: The scene.
         seed: Seed of the searches.
         solver: Solver of the polish.
+        search: Settings of the searches; the defaults where None.
     """
 
     hand: str
     scene: SceneFacts
     seed: int = 0
     solver: str = "sequential"
+    search: SearchSettings | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,9 @@ def run_batch(unit: BatchUnit) -> BatchResult:
     request, begin = unit.request, time.perf_counter()
     hand, scene, rig = hand_of(request.hand), scene_of(request.scene), rig_of(request.hand, request.scene)
     prepared = time.perf_counter()
-    settings = settings_of_batch(SynthesisSettings(solver=request.solver), unit.batch)
+    asked = SynthesisSettings(solver=request.solver)
+    asked = asked if request.search is None else replace(asked, search=request.search)
+    settings = settings_of_batch(asked, unit.batch)
     tally = Tally()
     found = candidates_of_batch(hand, scene, seed=batch_seed(request.seed, unit.batch), settings=settings, tally=tally)
     grasps: list[Grasp] = []

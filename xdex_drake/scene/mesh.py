@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ObjectFileError
 from xdex_drake.mesh_file import Faces, read_triangles
+from xdex_drake.scene.pieces import apart, bodies_of, merge_near_vertices, split_debris
 
 MAX_BYTES = 500_000_000
 """Largest mesh file: two million triangles written as text."""
@@ -92,7 +93,8 @@ def read_mesh(path: str | Path, *, scale: float | None = None) -> TriangleMesh:
     materials and textures are not read.
 
     Args:
-        path: File of one of the types `xdex_drake.mesh_file.MESH_SUFFIXES`.
+        path: File of one of the types `xdex_drake.mesh_file.MESH_SUFFIXES`; `FILE#1` takes the second largest of its
+            bodies alone.
         scale: Factor from the file's unit to metres, greater than zero; guessed where None, see `guess_scale`.
 
     Returns:
@@ -101,7 +103,7 @@ def read_mesh(path: str | Path, *, scale: float | None = None) -> TriangleMesh:
     Raises:
         ObjectFileError: The file is missing, is not a mesh, or holds no usable triangles.
     """
-    path = Path(path)
+    path, body = body_of_path(Path(path))
     if scale is not None and not (math.isfinite(scale) and scale > 0.0):
         raise ObjectFileError(f"{path}: scale is {scale}; give a finite number greater than zero")
     vertices, faces = read_triangles(path, ObjectFileError, max_bytes=MAX_BYTES)
@@ -110,18 +112,27 @@ def read_mesh(path: str | Path, *, scale: float | None = None) -> TriangleMesh:
         if scale is None:
             _check(vertices, faces)
             scale, said = guess_scale(float(np.ptp(_corners(vertices, faces), axis=0).max()))
-        mesh = clean_mesh(vertices * scale, faces)
+        mesh = clean_mesh(vertices * scale, faces, body=body)
         return replace(mesh, scale=scale, repairs=(*([said] if said else []), *mesh.repairs))
     except ObjectFileError as error:
         raise ObjectFileError(f"{path}: {error}") from None
 
 
-def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
+def body_of_path(path: Path) -> tuple[Path, int | None]:
+    """The file of a path, and the number of the one body that `FILE#1` asks for; None where it asks for all."""
+    name, mark, number = path.name.rpartition("#")
+    if mark and number.isdecimal() and not path.exists():
+        return path.with_name(name), int(number)
+    return path, None
+
+
+def clean_mesh(vertices: Array, faces: Faces, *, body: int | None = None) -> TriangleMesh:
     """Merges duplicate vertices, drops degenerate triangles, and turns the surface outwards.
 
     Args:
         vertices: Vertices [m], shape (n, 3).
         faces: Vertex indices, shape (m, 3).
+        body: Which of its bodies to take, 0 for the largest; all as one where None.
 
     Returns:
         The clean mesh, with the list of repairs.
@@ -154,6 +165,7 @@ def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
     extent = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False) / math.sqrt(len(mesh.vertices))
     if extent[2] < 1e-5:
         raise ObjectFileError("is flat; give the object a thickness")
+    mesh = _in_one_piece(mesh, repairs, body)
     if not mesh.is_watertight:
         mesh = _without_fragments(mesh, repairs)
     if not mesh.is_winding_consistent:
@@ -178,6 +190,33 @@ def clean_mesh(vertices: Array, faces: Faces) -> TriangleMesh:
         shell=walled is not None,
         bodies=bodies,
     )
+
+
+def _in_one_piece(mesh: trimesh.Trimesh, repairs: list[str], number: int | None) -> trimesh.Trimesh:
+    """Closes what was cut along its edges, leaves debris out, and tells of several bodies, or takes one of them."""
+    if not mesh.is_watertight:
+        vertices, faces, reach = merge_near_vertices(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        if reach > 0.0:
+            mesh = trimesh.Trimesh(*_used(vertices, faces), process=False)
+            repairs.append(f"merged near vertices, up to {1e6 * reach:.2g} micrometres apart")
+    bodies = bodies_of(mesh)
+    if len(bodies) > 8 and len(bodies) > 0.5 * len(mesh.faces):
+        raise ObjectFileError(f"is {len(mesh.faces)} loose triangles; merge its vertices, or export a closed surface")
+    bodies, debris = split_debris(mesh, bodies)
+    if number is None:
+        if debris:
+            repairs.append(f"left out {len(debris)} loose bits, as the debris of a scan; the largest is {debris[0]}")
+        if said := apart(mesh, bodies):
+            repairs.append(said)
+        kept = bodies
+    elif number < len(bodies):
+        kept = [bodies[number]]
+    else:
+        raise ObjectFileError(f"has {len(bodies)} bodies, #0 to #{len(bodies) - 1}, and no #{number}")
+    rows = np.sort(np.concatenate([body.faces for body in kept]))
+    if len(rows) == len(mesh.faces):
+        return mesh
+    return trimesh.Trimesh(*_used(np.asarray(mesh.vertices), np.asarray(mesh.faces)[rows]), process=False)
 
 
 def _check(vertices: Array, faces: Faces) -> None:

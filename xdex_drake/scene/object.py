@@ -3,7 +3,7 @@
 import difflib
 import logging
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from xdex_drake.scene.convex_parts import convex_parts, mesh_digest, read_cache,
 from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
 from xdex_drake.scene.generator import generated_mesh, is_shape_name
 from xdex_drake.scene.hulls import convex_hull
-from xdex_drake.scene.mesh import TriangleMesh, clean_mesh, read_mesh
+from xdex_drake.scene.mesh import TriangleMesh, body_of_path, clean_mesh, read_mesh
 from xdex_drake.scene.procedural import list_objects, procedural_mesh
 
 Faces = NDArray[np.int64]
@@ -34,6 +34,9 @@ LIKELY_WALL = 2e-3
 
 LIKELY_FOLDS = 3.0
 """Greatest area of a likely mesh [areas of its convex hull]: 240 everyday and generated ones had at most 1.9."""
+
+FAR_AWAY = 100.0
+"""Distance from its origin from which on a mesh is worked on near it [sizes]."""
 
 DEFAULT_MASS = 0.1
 DEFAULT_FRICTION = 0.6
@@ -204,7 +207,10 @@ def load_object(
         raise UnknownObject(f"no object is named {text!r}; {hint} (a mesh is given by the path of its file)")
     else:
         path = Path(name_or_path)
-        mesh, name = read_mesh(path, scale=scale), path.stem
+        mesh, name = read_mesh(path, scale=scale), _name_of(path)
+    # Far from its origin a surface is worked on near it: volume and inertia would be differences of huge numbers.
+    offset = _far_center(mesh.vertices)
+    mesh = replace(mesh, vertices=mesh.vertices - offset)
     try:
         convex = convex_parts(mesh.vertices, mesh.faces, likely=_is_likely(mesh))
     except ObjectFileError as error:
@@ -239,19 +245,32 @@ def load_object(
     return ObjectModel(
         name=name,
         path=path,
-        vertices=mesh.vertices,
+        vertices=mesh.vertices + offset,
         faces=mesh.faces,
-        parts=convex.parts,
-        surface=convex.surface,
+        parts=tuple((vertices + offset, faces) for vertices, faces in convex.parts),
+        surface=(convex.surface[0] + offset, convex.surface[1]),
         mass=mass,
-        p_OOcm=p_OOcm,
+        p_OOcm=p_OOcm + offset,
         I_OcmO=np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass),
         friction=friction,
         scale=mesh.scale if path is not None else scale or 1.0,
         length=_surface_radius(*convex.surface, p_OOcm),
-        digest=mesh_digest(mesh.vertices, mesh.faces),
+        digest=mesh_digest(mesh.vertices + offset, mesh.faces),
         report=report,
     )
+
+
+def _name_of(path: Path) -> str:
+    """Name of the object of a path: that of the file, and the number of its body where one is chosen."""
+    file, body = body_of_path(path)
+    return file.stem if body is None else f"{file.stem}_{body}"
+
+
+def _far_center(vertices: Array) -> Array:
+    """Center of the box around a mesh that lies more than `FAR_AWAY` of its sizes from its origin; else zero."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    center = 0.5 * (low + high)
+    return center if np.linalg.norm(center) > FAR_AWAY * np.linalg.norm(high - low) else np.zeros(3)
 
 
 def _is_likely(mesh: TriangleMesh) -> bool:

@@ -37,6 +37,15 @@ STABLE_TILT = math.radians(5.0)
 SAME_SHAPE = 0.03
 """Two poses are the same where, after the best yaw, the surfaces are this close (p95) [object lengths]."""
 
+OFF_TABLE = 2e-3
+"""Height of the lowest point above or below the table that a user's own pose may have [m]."""
+
+TABLE_HALF = 1.0
+"""Half the side of the table [m]."""
+
+UPRIGHT_DEG = 15.0
+"""Greatest angle between an object's z axis and up at which it stands upright [degrees]."""
+
 DROP_HEIGHT = 5e-3
 """Height of the lowest point above the table from which `drop` lets go [m]."""
 
@@ -68,18 +77,19 @@ def make_scene(
     Args:
         object: The object.
         seed: Choice of the stable pose, its yaw and its place; unused where `pose` is given.
-        pose: Pose X_WO to take instead of a stable one.
+        pose: Pose X_WO to take instead of a stable one; the object must lie on the table at it.
         spread_m: Half the side of the square about the origin in which the object is placed at random [m].
 
     Returns:
         The scene; the same arguments give the same scene.
 
     Raises:
-        ConfigError: `spread_m` is negative or leaves the table.
+        ConfigError: `spread_m` is negative or leaves the table, or the pose is in the table, above it or beyond it.
     """
     if not 0.0 <= spread_m <= 0.5:
         raise ConfigError(f"spread_m is {spread_m:g}; give metres from 0 to 0.5, the table is 2 m wide")
     if pose is not None:
+        _check_pose(object, pose)
         mark = "p" + hashlib.sha256(np.round(pose.GetAsMatrix34(), 9).tobytes()).hexdigest()[:8]
         return Scene(object, pose, f"{object.name}-{object.digest[:8]}-{mark}")
     X_WO, mark = stable_pose(object, seed=seed), f"{seed}"
@@ -87,6 +97,55 @@ def make_scene(
         x, y = np.random.default_rng([seed, 1]).uniform(-spread_m, spread_m, 2)
         X_WO, mark = RigidTransform(X_WO.rotation(), X_WO.translation() + np.array([x, y, 0.0])), f"{seed}s{spread_m:g}"
     return Scene(object, X_WO, f"{object.name}-{object.digest[:8]}-{mark}")
+
+
+def _check_pose(object: ObjectModel, pose: RigidTransform) -> None:
+    """Refuses a pose of a user's own at which nothing can lie."""
+    low = float((_points(object) @ pose.rotation().matrix()[2]).min() + pose.translation()[2])
+    where = "below the table" if low < 0.0 else "above the table"
+    if abs(low) > OFF_TABLE:
+        raise ConfigError(
+            f"pose of {object.name}: its lowest point is {1e3 * abs(low):.0f} mm {where}, which is the plane z = 0; "
+            f"{'raise' if low < 0.0 else 'lower'} it by as much"
+        )
+    x, y, _ = pose @ object.p_OOcm
+    if max(abs(x), abs(y)) > TABLE_HALF:
+        raise ConfigError(
+            f"pose of {object.name}: its center of mass is at x = {x:.2f}, y = {y:.2f} m, beyond the table, which "
+            f"reaches {TABLE_HALF:g} m from its middle"
+        )
+
+
+def pose_of(object: ObjectModel, *, number: int | None = None, upright: bool = False) -> RigidTransform:
+    """One of the ways in which an object rests: by its number, or as its file has it upright.
+
+    Args:
+        object: The object.
+        number: Number among `stable_poses`, the most probable one 0.
+        upright: Whether the object's z axis shall point up instead.
+
+    Returns:
+        X_WO, its center of mass over the origin.
+
+    Raises:
+        ConfigError: There is no such pose.
+    """
+    poses = stable_poses(object)
+    if upright:
+        up = [math.degrees(math.acos(min(1.0, float(pose.X_WO.rotation().matrix()[2, 2])))) for pose in poses]
+        best = int(np.argmin(up))
+        if up[best] > UPRIGHT_DEG:
+            raise ConfigError(
+                f"{object.name} does not stand upright: of its {len(poses)} poses, number {best} comes nearest, "
+                f"z of its file {up[best]:.0f} degrees from up; choose a pose by its number"
+            )
+        return poses[best].X_WO
+    if number is None or not 0 <= number < len(poses):
+        raise ConfigError(
+            f"{object.name} has no pose {number}; it rests in {len(poses)} ways, 0 to {len(poses) - 1}, which "
+            "`xdex object show` lists"
+        )
+    return poses[number].X_WO
 
 
 def random_scene(
