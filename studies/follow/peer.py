@@ -8,9 +8,9 @@ import sys
 import time
 
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore - of its own environment
 import torch
-from dex_retargeting.retargeting_config import RetargetingConfig
+from dex_retargeting.retargeting_config import RetargetingConfig  # pyright: ignore
 
 
 def build(job: dict, objective: str, normal_delta: float):  # noqa: ANN201
@@ -87,4 +87,4 @@ if __name__ == "__main__":
     RetargetingConfig.set_default_urdf_dir("/")
     with open(sys.argv[1]) as file:
         content = json.load(file)
-    np.savez(sys.argv[2], **(streams(content) if "runs" in content else facts(content)))
+    np.savez(sys.argv[2], **(streams(content) if "runs" in content else facts(content)))  # pyright: ignore - names of arrays

@@ -1,5 +1,7 @@
 """Pages that play a motion: every frame is there, where kinematics put it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
@@ -25,7 +27,7 @@ def test_a_page_holds_the_motion():
     qs, R, p = (np.array([getattr(item, name) for item in found]) for name in ("q", "R_WH", "p_WH"))
     page = motion_page(hand, qs, R, p, points=clip.points, title="<i>", rows=[("frames", "9")])
     assert "&lt;i&gt;" in page and "<dd>9</dd>" in page and page.count("</body>") == 1
-    animation = animation_of(page)
+    animation: Any = animation_of(page)
     for t in (0, 4, len(qs) - 1):
         k = Configuration.at(hand, RigidTransform(RotationMatrix.ProjectToRotationMatrix(R[t]), p[t]), qs[t])
         tip = hand.link_index["index_L2"]

@@ -8,7 +8,7 @@ quadratic that bounds them from above: that matrix is never indefinite.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,18 +83,26 @@ class _Seen:
 
 @dataclass(frozen=True)
 class Found:
-    """Postures q [rad or m], shape (B, n), residuals r [m], shape (B, K, 3), and costs, shape (B,)."""
+    """What a descent found.
+
+    Attributes:
+        q: Postures [rad or m], shape (B, n).
+        r: Residuals [m], shape (B, K, 3).
+        cost: Costs, shape (B,).
+        placed: The hand's points there, where all frames took the same number of steps, as one frame does.
+    """
 
     q: Array
     r: Array
     cost: Array
+    placed: Placed | None = None
 
     def put(self, frames: NDArray[np.int64], q: Array, seen: _Seen) -> None:
         """Writes down frames that are done."""
         self.q[frames], self.r[frames], self.cost[frames] = q, seen.r, seen.cost
 
 
-def look(problem: Problem, q: Array, q_before: Array, targets: Targets) -> _Seen:
+def look(problem: Problem, q: Array, q_before: Array, targets: Targets, *, placed: Placed | None = None) -> _Seen:
     """Residuals and costs at postures.
 
     Args:
@@ -102,11 +110,12 @@ def look(problem: Problem, q: Array, q_before: Array, targets: Targets) -> _Seen
         q: Joint values [rad or m], shape (B, n).
         q_before: Those of the frame before, shape (B, n).
         targets: The targets.
+        placed: The hand's points at q, where they are known.
 
     Returns:
         What was seen.
     """
-    placed = problem.chains.place(q)
+    placed = problem.chains.place(q) if placed is None else placed
     combine = problem.objective.combine
     r = (placed.points if combine is None else combine @ placed.points) - targets.vectors
     beta = problem.objective.beta
@@ -209,7 +218,7 @@ def bounded_step(H: Array, g: Array, least: Array, most: Array) -> Array:
     return np.minimum(np.maximum(step, least), most)
 
 
-def descend(problem: Problem, q: Array, targets: Targets, *, near: bool) -> Found:
+def descend(problem: Problem, q: Array, targets: Targets, *, near: bool, placed: Placed | None = None) -> Found:
     """Goes down from postures within the joint limits.
 
     Args:
@@ -217,13 +226,14 @@ def descend(problem: Problem, q: Array, targets: Targets, *, near: bool) -> Foun
         q: Starts within the limits [rad or m], shape (B, n); smoothing counts increments from here.
         targets: The targets, B frames.
         near: Whether the starts are near the solutions, as those of a stream are.
+        placed: The hand's points at the starts, where they are known.
 
     Returns:
         Postures with residuals and costs.
     """
     low, high = problem.chains.hand.limits
     q, q_before, n = q.copy(), q.copy(), q.shape[1]
-    seen = look(problem, q, q_before, targets)
+    seen = look(problem, q, q_before, targets, placed=placed)
     unit = (targets.weights.sum(axis=1) * ARM * ARM / problem.objective.beta)[:, None]
     damping, exact = np.full(len(q), NEAR if near else FAR), np.full(len(q), 1.0 if near else 0.0)
     found = Found(q.copy(), np.zeros_like(seen.r), np.zeros(len(q)))
@@ -256,4 +266,4 @@ def descend(problem: Problem, q: Array, targets: Targets, *, near: bool) -> Foun
             frames, q, q_before, seen, targets = frames[go], q[go], q_before[go], seen.rows(go), targets.rows(go)
             damping, exact, unit = damping[go], exact[go], unit[go]
     found.put(frames, q, seen)
-    return found
+    return replace(found, placed=seen.placed) if len(frames) == len(found.q) else found

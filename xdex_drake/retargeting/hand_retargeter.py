@@ -11,8 +11,8 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import zero_configuration
-from xdex_drake.retargeting.chains import Chains
-from xdex_drake.retargeting.descent import Found, Problem, descend
+from xdex_drake.retargeting.chains import Chains, Placed
+from xdex_drake.retargeting.descent import Problem, descend
 from xdex_drake.retargeting.keypoints import FINGERS, check_points, finger_length, in_wrist_frame, wrist_frames
 from xdex_drake.retargeting.objectives import OBJECTIVES, make_objective, make_targets, start_pinches
 
@@ -234,13 +234,14 @@ class Stream:
     """A stream of frames with a warm start; its state is the last joint values and who pinches.
 
     Attributes:
-        q: Joint values of the last frame, shape (n,).
+        q: Joint values of the last frame, shape (n,), to be read only.
     """
 
     def __init__(self, retargeter: HandRetargeter, q: Array, *, far: bool) -> None:
         """Starts a stream; use `HandRetargeter.stream`."""
         self.q = q
         self._retargeter, self._far = retargeter, far
+        self._placed: Placed | None = None
         self._pinches = start_pinches(retargeter._problem.objective, 1)
 
     def follow(self, points: Array, *, X_WH: tuple[Array, Array] | None = None) -> Following:
@@ -260,8 +261,9 @@ class Stream:
         R_WH, p_WH, p_HPs = it._at_wrist(_frames(points, 2), X_WH)
         problem = it._problem
         targets, self._pinches = make_targets(problem.objective, p_HPs[None], it.scale, self._pinches)
-        found: Found = descend(problem, self.q[None], targets, near=not self._far)
-        self.q, self._far = found.q[0], False
+        # The points at the last joint values are known still.
+        found = descend(problem, self.q[None], targets, near=not self._far, placed=self._placed)
+        self.q, self._placed, self._far = found.q[0].copy(), found.placed, False
         return Following(found.q[0], R_WH, p_WH, found.cost[0], _distance(found.r)[0])
 
 
