@@ -84,7 +84,7 @@ class Lines(tqdm):
             self.due = 0.0
             self.display()
             self.disable = True
-            self._decr_instances(self)
+            self._decr_instances(self)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def progress(total: int | None, what: str) -> tqdm:

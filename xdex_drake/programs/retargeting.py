@@ -14,7 +14,7 @@ from xdex_drake.programs.inverse_kinematics import keypoint_targets, solve_point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.search import Candidates, SearchSettings, refine
 from xdex_drake.programs.terms.keypoints import keypoint_cost
-from xdex_drake.scene.belonging import check_belonging
+from xdex_drake.scene.belonging import check_hand_of
 from xdex_drake.scene.tabletop import Scene
 
 IMPROVEMENT = 0.05
@@ -119,9 +119,9 @@ def retargeting_program(
         The program: posture and effort, keypoints, and the constraints of the force-closure program.
 
     Raises:
-        ConfigError: The grasp is not of the source hand, or of another object or pose than the scene's.
+        ConfigError: The grasp is not of the source hand. Its object may be another one than the scene's.
     """
-    check_belonging(source, source_hand, scene)
+    check_hand_of(source, source_hand)
     X_WH, q = start if start is not None else warm_start(source, source_hand, target)
     fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
     targets = keypoint_targets(source_hand, source.X_WH, source.q, target)
