@@ -194,7 +194,7 @@ def retargeting_program(
         The program: posture and effort, keypoints, and the constraints of the force-closure program.
 
     Raises:
-        ConfigError: The grasp is not of the source hand, or of another object or pose than the scene's.
+        ConfigError: The grasp is not of the source hand. Its object may be another one than the scene's.
     """
     check_hand_of(source, source_hand)
     X_WH, q = start if start is not None else warm_start(source, source_hand, target)
