@@ -78,6 +78,15 @@ def held(path: Path) -> str:
     )
 
 
+@row("likewise, of those that are foretold to hold, as a search asks", "holds/survival.csv")
+def foretold(path: Path) -> str:
+    """Held of lifted among those foretold to hold."""
+    rows = [line for line in survivors(path) if line["foretold"] not in ("", "nan") and float(line["foretold"]) <= 0.0]
+    other = [line for line in rows if line["mujoco_lifted"] == "1"]
+    judged = sum(line["mujoco_held"] == "1" for line in other)
+    return f"{by_hand(rows, 'held', 'lifted')}; in MuJoCo {judged} of {len(other)}"
+
+
 @row("the same meshes: hands and meshes of which 40 s of search gave fewer than four", "holds/survival.csv")
 def missing(path: Path) -> str:
     """Cells that are not full."""
