@@ -54,11 +54,6 @@ def table_files(folder: str | Path) -> list[Path]:
     return sorted(path for path in target.iterdir() if _FILE.fullmatch(path.name)) if target.is_dir() else []
 
 
-def is_table(folder: str | Path) -> bool:
-    """Whether a folder is a compact table."""
-    return bool(table_files(folder))
-
-
 def read_records(folder: str | Path) -> Iterator[CompactUnit | Damage]:
     """The units of a table in the order in which they were appended, and what is damaged.
 
