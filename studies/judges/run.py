@@ -176,7 +176,7 @@ def cases(grasp: Grasp, hand: Hand, scene: Scene, number: int) -> Iterator[Case]
         yield Case(displaced(grasp, scene, rng, errors), hand, scene, LIFT, way)
     elif way == "squeeze":
         share = rng.uniform(0.1, 0.7)
-        yield Case(replace(grasp, q_squeeze=grasp.q + share * (grasp.q_squeeze - grasp.q)), hand, scene, LIFT, way)
+        yield Case(replace(grasp, tau_squeeze=share * grasp.tau_squeeze), hand, scene, LIFT, way)
     elif way == "friction":
         share = rng.uniform(0.2, 0.7)
         slippery = replace(LIFT, plant=replace(LIFT.plant, friction=share * LIFT.plant.friction))
