@@ -9,22 +9,7 @@ import pytest
 from xdex_drake.errors import ConfigError
 from xdex_drake.programs.force_closure import program_of_candidate
 from xdex_drake.programs.program import tangent_rates, variable_rates
-from xdex_drake.programs.search import search
 from xdex_drake.programs.solve import SOLVERS, judge, solve
-
-
-@pytest.fixture(scope="module")
-def found(allegro, can_scene):
-    return search(allegro, can_scene, count=24, seed=0)
-
-
-@pytest.fixture(scope="module")
-def solved(allegro, can_scene, found):
-    for row in range(10):
-        result = solve(program_of_candidate(allegro, can_scene, found, row))
-        if result.success:
-            return row, result
-    pytest.fail("none of ten candidates could be polished")
 
 
 @pytest.fixture

@@ -19,24 +19,10 @@ from xdex_drake.programs.inverse_kinematics import PointTargets, _LinkMoments, k
 from xdex_drake.programs.link_pose_ik import link_pose_ik
 from xdex_drake.programs.margin_cost import margin_cost
 from xdex_drake.programs.retargeting import corresponding_fingers
-from xdex_drake.programs.search import random_rotations, search
+from xdex_drake.programs.search import random_rotations
 from xdex_drake.programs.solve import judge, solve
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
-
-
-@pytest.fixture(scope="module")
-def found(allegro, can_scene):
-    return search(allegro, can_scene, count=24, seed=0)
-
-
-@pytest.fixture(scope="module")
-def solved(allegro, can_scene, found):
-    for row in range(10):
-        result = solve(program_of_candidate(allegro, can_scene, found, row))
-        if result.success:
-            return row, result
-    pytest.fail("none of ten candidates could be polished")
 
 
 def again(result, costs=()):
