@@ -25,11 +25,11 @@ COLUMNS = ("grasp", "protocol", "certified", "before", "after", "held_before", "
 def relift(path: Path) -> Iterator[tuple[object, ...]]:
     """What became of each grasp of a shard."""
     rows, unit = read_grasps(path), path.name.removesuffix(".parquet")
-    compact = compact_rows(unit, rows, rejected=read_rejected(path))
+    compact = compact_rows(unit, rows, path.parent.parent, rejected=read_rejected(path))
     if compact is None:
         return
     size = len(to_bytes(compact)) / len(rows)
-    for before, row in zip(rows, expand_unit(compact), strict=True):
+    for before, row in zip(rows, expand_unit(compact, path.parent.parent), strict=True):
         assert before["grasp_id"] == row["grasp_id"]
         grasp = grasp_from_row(row)
         certified = grasp.certificate is not None

@@ -9,6 +9,7 @@ from xdex_drake.contact.held_object import HeldObject
 from xdex_drake.dataset.schema import ObjectFacts, row_from_grasp
 from xdex_drake.grasp import Grasp, Hold, Lift
 from xdex_drake.hand.description import Coupling, Finger, Hand, Joint, Link
+from xdex_drake.hand.yaml_file import hand_digest
 
 IDENTITY = np.eye(3)
 
@@ -81,7 +82,7 @@ def make_row(seed, **options):
         grasp,
         scene_id="mug/0",
         hand=make_hand(),
-        hand_digest="h" * 64,
+        hand_digest=hand_digest(make_hand()),
         object=make_facts(grasp.object),
         gains=(1.0, 0.1),
         object_point_O=np.array([0.0, 0.01, 0.02]),
@@ -91,6 +92,11 @@ def make_row(seed, **options):
 @pytest.fixture
 def tiny_hand():
     return make_hand()
+
+
+@pytest.fixture(name="make_hand")
+def make_hand_fixture():
+    return make_hand
 
 
 @pytest.fixture

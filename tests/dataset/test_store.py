@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from xdex_drake import whole_file
+from xdex_drake.dataset.assets import keep_hand
 from xdex_drake.dataset.folder import (
     Manifest,
     completed_units,
@@ -34,12 +35,14 @@ from xdex_drake.dataset.verify import verify
 from xdex_drake.dataset.version_1 import SCHEMA_1
 from xdex_drake.errors import DatasetError, GraspFileError
 
+TINY_DIGEST = "342aa407305ff7832685fedcd8bae41109458daae04c56c1e21ec158f135b2f9"
+
 MANIFEST = Manifest(
     config={"contacts": 4, "hands": ["tiny"]},
     seed=7,
     units=("mug-0", "mug-1", "mug-2"),
     versions={"drake": "1"},
-    digests={"hand/tiny": "h" * 64, "object/mug": "d" * 64},
+    digests={"hand/tiny": TINY_DIGEST, "object/mug": "d" * 64},
 )
 
 
@@ -49,10 +52,11 @@ def rows(make_row):
 
 
 @pytest.fixture
-def dataset(tmp_path, make_row):
+def dataset(tmp_path, make_row, make_hand):
     """Two of three units: a source and a grasp that was retargeted from it, and a failed lift."""
     folder = tmp_path / "data"
     open_dataset(folder, MANIFEST)
+    keep_hand(folder, make_hand())
     write_shard(folder, "mug-0", [make_row(0), make_row(1, source="g0")])
     write_shard(folder, "mug-1", [make_row(2, success=False)])
     return folder

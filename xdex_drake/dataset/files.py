@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, write_grasps
+from xdex_drake.dataset.assets import asset, dataset_of, mesh_path
+from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, read_table, write_grasps
 from xdex_drake.dataset.rows import rows_of
 from xdex_drake.dataset.schema import Row, grasp_from_row, pose_from_list
 from xdex_drake.errors import GraspFileError, XdexError
@@ -32,7 +33,7 @@ class StoredGrasp:
         hand: Its hand.
         scene: Its scene.
         facts: The scene by what another process needs to build it.
-        row: The row as it was read.
+        row: The row as it was read, its mesh by the path at which it was found.
         hand_path: Name or path by which another process loads the hand.
     """
 
@@ -83,22 +84,31 @@ def hand_paths_entry(paths: Mapping[str, str]) -> dict[str, str]:
 
 def hand_paths(path: str | Path) -> dict[str, str]:
     """Paths of the hands of a file of grasps that the library does not have, by name."""
-    return dict(json.loads(read_metadata(path).get(HAND_PATHS, "{}")))
+    paths, folder = dict(json.loads(read_metadata(path).get(HAND_PATHS, "{}"))), dataset_of(path)
+    if folder is not None:
+        names = read_table(path, ("hand", "hand_digest")).group_by(["hand", "hand_digest"]).aggregate([]).to_pylist()
+        kept = {row["hand"]: asset(folder, row["hand_digest"]) for row in names}
+        paths |= {name: str(file) for name, file in kept.items() if file is not None}
+    return paths
 
 
-def scene_facts(row: Row, folder: Path | None = None) -> SceneFacts:
+def scene_facts(row: Row, file: Path | None = None, dataset: Path | None = None) -> SceneFacts:
     """What a row says about its scene.
 
     Args:
         row: The row.
-        folder: Folder of the row's file, where a mesh is looked for that is not found by its path as it stands.
+        file: The row's file, beside which a mesh is looked for that is not found by its path as it stands.
+        dataset: Folder of the data set that the row is of, whose copy of the mesh is taken.
 
     Returns:
         The facts.
     """
     path = row["object_path"]
-    if folder is not None and Path(path).suffix and not Path(path).exists() and (folder / path).exists():
-        path = str(folder / path)
+    dataset = dataset or (None if file is None else dataset_of(file))
+    if dataset is not None:
+        path = mesh_path(dataset, path, row["object_digest"])
+    elif file is not None and Path(path).suffix and not Path(path).exists() and (file.parent / path).exists():
+        path = str(file.parent / path)
     numbers = (row["object_scale"], row["mass_kg"], row["friction"])
     pose = tuple(pose_from_list(row["X_WO"]).GetAsMatrix34().ravel().tolist())
     return SceneFacts(path, row["object_digest"], *numbers, pose, row["scene_id"])
@@ -129,8 +139,9 @@ def load_grasps(path: str | Path) -> list[StoredGrasp]:
                 raise GraspFileError(f"{path}: hand {name} cannot be found: {error}") from None
             if hand_digest(hands[name]) != row["hand_digest"]:
                 raise GraspFileError(f"{path}: hand {name} is not the one it was made with; restore its description")
-        key = scene_facts(row, Path(path).parent)
+        key = scene_facts(row, Path(path))
         if key not in scenes:
             scenes[key] = key.build()
-        stored.append(StoredGrasp(grasp_from_row(row), hands[name], scenes[key], key, row, paths.get(name, name)))
+        found = row | {"object_path": key.object_path}
+        stored.append(StoredGrasp(grasp_from_row(row), hands[name], scenes[key], key, found, paths.get(name, name)))
     return stored

@@ -1,13 +1,15 @@
 """Checks a whole data set: shards, rows, certificates, sources."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from xdex_drake.contact.certificate import check_certificate
+from xdex_drake.dataset.assets import ASSETS, hand_finder, object_finder
 from xdex_drake.dataset.folder import Manifest, read_manifest, shard_paths
 from xdex_drake.dataset.grasp_file import read_grasps
-from xdex_drake.dataset.schema import Row, grasp_from_row
-from xdex_drake.errors import GraspFileError
+from xdex_drake.dataset.schema import Row, grasp_from_row, object_facts_from_row
+from xdex_drake.errors import GraspFileError, XdexError
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,7 @@ class Fault:
     """Something wrong with a data set.
 
     Attributes:
-        unit: The unit whose shard it is in.
+        unit: The unit whose shard it is in, empty where it is in none.
         grasp_id: The grasp, empty where the whole shard is meant.
         reason: What is wrong.
     """
@@ -56,7 +58,7 @@ def verify(folder: str | Path) -> VerifyReport:
 
     Every shard can be read to its last byte and has the schema; no grasp has the identifier of another; every row is a
     grasp; a grasp whose lift succeeded has a certificate that holds, checked in plain NumPy without a solver; every
-    source grasp is there; hands and objects are those of the manifest.
+    source grasp is there; hands and objects are those of the manifest, and the copies of their files those of the rows.
 
     Args:
         folder: Folder of the data set.
@@ -73,6 +75,7 @@ def verify(folder: str | Path) -> VerifyReport:
     source_of: list[tuple[str, str, str]] = []
     shards = rows = successes = checked = 0
     seen_units = set()
+    objects: dict[str, Row] = {}
     for path in shard_paths(folder):
         unit = path.name.removesuffix(".parquet")
         seen_units.add(unit)
@@ -86,6 +89,7 @@ def verify(folder: str | Path) -> VerifyReport:
             continue
         for row in shard_rows:
             rows += 1
+            objects.setdefault(row["object_digest"], row)
             grasp_id = row["grasp_id"]
             if grasp_id in unit_of:
                 faults.append(Fault(unit, grasp_id, f"the identifier is that of a grasp of {unit_of[grasp_id]}, too"))
@@ -101,6 +105,7 @@ def verify(folder: str | Path) -> VerifyReport:
         for unit, grasp_id, source in source_of
         if source not in unit_of
     )
+    faults.extend(Fault("", "", reason) for reason in _asset_faults(folder, manifest, objects.values()))
     missing = tuple(unit for unit in manifest.units if unit not in seen_units)
     return VerifyReport(shards, rows, successes, checked, missing, tuple(faults))
 
@@ -122,3 +127,19 @@ def _row_faults(row: Row, manifest: Manifest) -> tuple[list[str], bool]:
         return [*reasons, "its lift succeeded, but it has no certificate"], False
     residuals = check_certificate(grasp.certificate)
     return reasons if residuals.passes() else [*reasons, f"its certificate does not hold: {residuals}"], True
+
+
+def _asset_faults(folder: str | Path, manifest: Manifest, rows: Iterable[Row]) -> Iterator[str]:
+    """What is wrong with the hands and meshes in the folder; a row for each mesh."""
+    find_hand, find_object = hand_finder(folder), object_finder(folder)
+    for name in (key.removeprefix("hand/") for key in manifest.digests if key.startswith("hand/")):
+        try:
+            find_hand(name)
+        except XdexError as error:
+            yield str(error)
+    for row in rows:
+        if row["object_path"].startswith(f"{ASSETS}/"):
+            try:
+                find_object(object_facts_from_row(row))
+            except XdexError as error:
+                yield f"object {row['object']}: {error}"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from xdex_drake.dataset.assets import asset, copy_assets, mesh_path, with_kept_mesh
 from xdex_drake.dataset.compact import (
     CompactUnit,
     compact_unit,
@@ -43,13 +45,19 @@ NOTES = ("xdex_commit",)
 
 
 def compact_rows(
-    unit: str, rows: Sequence[Row], *, rejected: Sequence[Rejected] = (), notes: Mapping[str, str] | None = None
+    unit: str,
+    rows: Sequence[Row],
+    folder: str | Path,
+    *,
+    rejected: Sequence[Rejected] = (),
+    notes: Mapping[str, str] | None = None,
 ) -> CompactUnit | None:
     """A unit of a data set in few bytes.
 
     Args:
         unit: Name of the unit.
         rows: Its rows, all of one scene, sources before what came from them.
+        folder: Folder of the data set, whose hands and meshes are used.
         rejected: What found nothing.
         notes: What else to keep about it.
 
@@ -61,15 +69,18 @@ def compact_rows(
     """
     if not rows:
         return None
-    scene = scene_of(scene_facts(rows[0]))
+    scene = scene_of(scene_facts(rows[0], dataset=Path(folder)))
     if any(row["scene_id"] != scene.scene_id for row in rows):
         raise DatasetError(f"unit {unit}: has rows of several scenes, and so cannot be compacted")
     by_hand: dict[str, list[Grasp]] = {}
     for row in rows:
         by_hand.setdefault(row["hand"], []).append(grasp_from_row(row))
     digests = {row["hand"]: row["hand_digest"] for row in rows}
-    grasps = [(hand_of(name), name, digests[name], some) for name, some in by_hand.items()]
-    return compact_unit(unit, scene, grasps, rejected=rejected, notes=notes)
+    hands = {name: hand_of(str(asset(folder, digest) or name)) for name, digest in digests.items()}
+    grasps = [(hands[name], name, digests[name], some) for name, some in by_hand.items()]
+    compact = compact_unit(unit, scene, grasps, rejected=rejected, notes=notes)
+    facts = replace(compact.header.scene, object_path=rows[0]["object_path"])  # that in any folder, not in this one
+    return replace(compact, header=replace(compact.header, scene=facts))
 
 
 def compact_shard(folder: str | Path, unit: str, table: str | Path) -> int:
@@ -90,7 +101,7 @@ def compact_shard(folder: str | Path, unit: str, table: str | Path) -> int:
     path = Path(folder) / "shards" / f"{unit}.parquet"
     metadata = read_metadata(path)
     notes = {key: metadata[key] for key in NOTES if key in metadata}
-    compact = compact_rows(unit, read_grasps(path), rejected=read_rejected(path), notes=notes)
+    compact = compact_rows(unit, read_grasps(path), folder, rejected=read_rejected(path), notes=notes)
     if compact is None:
         return 0
     append_unit(table, compact)
@@ -111,6 +122,7 @@ def compact_dataset(folder: str | Path, table: str | Path) -> tuple[int, int]:
         DatasetError: A unit cannot be compacted, or the table cannot be written.
         GraspFileError: A shard is damaged.
     """
+    copy_assets(folder, table)
     there = table_units(table)
     counts = [compact_shard(folder, unit, table) for unit in sorted(completed_units(folder) - there)]
     return sum(count > 0 for count in counts), sum(counts)
@@ -121,11 +133,12 @@ def table_units(table: str | Path) -> set[str]:
     return {unit.header.unit for unit in read_units(table)}
 
 
-def expand_unit(unit: CompactUnit) -> tuple[Row, ...]:
+def expand_unit(unit: CompactUnit, folder: str | Path) -> tuple[Row, ...]:
     """The rows of a compact unit, whole again.
 
     Args:
         unit: The unit.
+        folder: Folder of its table or data set, whose hands and meshes are used.
 
     Returns:
         Its rows. Certificates, pre-grasps and squeezes are computed again; lifts are those that were stored. A grasp
@@ -136,11 +149,12 @@ def expand_unit(unit: CompactUnit) -> tuple[Row, ...]:
         GraspFileError: The object is not the one it was made with.
     """
     use_one_thread()
-    header, scene = unit.header, scene_of(unit.header.scene)
+    header, facts = unit.header, unit.header.scene
+    scene = scene_of(replace(facts, object_path=mesh_path(folder, facts.object_path, facts.digest)))
     rows: list[Row] = []
     points: dict[str, Sequence[float]] = {}
     for entry, table, is_source in zip(header.hands, unit.rows, is_source_row(header), strict=True):
-        hand = hand_of(entry.path)
+        hand = hand_of(str(asset(folder, entry.digest) or entry.path))
         if hand_digest(hand) != entry.digest:
             raise DatasetError(f"unit {header.unit}: hand {entry.name} is not the one it was made with; restore it")
         grasps = []
@@ -154,7 +168,7 @@ def expand_unit(unit: CompactUnit) -> tuple[Row, ...]:
         made = rows_of(grasps, hand, scene, source_points=points)
         points |= {row["grasp_id"]: row["object_point_O"] for row in made}
         rows += made
-    return tuple(rows)
+    return tuple(with_kept_mesh(folder, rows))
 
 
 def expand_table(
@@ -179,6 +193,7 @@ def expand_table(
         DatasetError: The folder holds another data set, or cannot be written.
     """
     open_dataset(folder, read_manifest(table))
+    copy_assets(table, folder)
     counts = [0, 0]
 
     def save(result: UnitResult[CompactUnit, tuple[Row, ...]]) -> None:
@@ -196,6 +211,6 @@ def expand_table(
     with locked(folder):
         done = completed_units(folder)
         missing = (unit for unit in read_units(table) if unit.header.unit not in done)
-        for _ in run_units(missing, expand_unit, workers=workers, on_done=save):
+        for _ in run_units(missing, partial(expand_unit, folder=table), workers=workers, on_done=save):
             pass
     return counts[0], counts[1]

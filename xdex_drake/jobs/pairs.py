@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from xdex_drake.dataset.assets import copy_assets, keep_hand, keep_mesh, with_kept_mesh
 from xdex_drake.dataset.folder import (
     Manifest,
     Rejected,
@@ -381,6 +382,25 @@ def manifest(config: DatasetConfig) -> Manifest:
     )
 
 
+def keep_assets(config: DatasetConfig, folder: str | Path) -> None:
+    """Copies the hands and meshes that came from files into a data set's folder, so that it can be sent as it is.
+
+    Args:
+        config: The configuration.
+        folder: Folder of the data set.
+
+    Raises:
+        XdexError: A hand or an object cannot be used, or a copy cannot be written.
+    """
+    hands, sources, _ = population(config)
+    for name in dict.fromkeys((*hands, *sources)):
+        if read_hand_name(name) is None:
+            keep_hand(folder, load_hand(name))
+    for path, scale in {unit.object: unit.scale for unit in plan(config)}.items():
+        if not is_shape_name(path):
+            keep_mesh(folder, scene_of_unit(path, scale, 0, config.mass, config.seed).object)
+
+
 def generate(
     config: DatasetConfig,
     folder: str | Path,
@@ -414,8 +434,10 @@ def generate(
     units = part_of(plan(config), shard)
     planned = manifest(config)
     open_dataset(folder, planned)
+    keep_assets(config, folder)
     if table is not None:
         open_dataset(table, planned)
+        copy_assets(folder, table)
     counts = [0, 0]
 
     def save(result: UnitResult[PairUnit, UnitRows]) -> None:
@@ -424,7 +446,7 @@ def generate(
             counts[1] += 1
         else:
             entries = rejected_entry(result.value.rejected) | {COMMIT: code_version()}
-            write_shard(folder, result.unit.name, result.value.rows, metadata=entries)
+            write_shard(folder, result.unit.name, with_kept_mesh(folder, result.value.rows), metadata=entries)
             if table is not None:
                 compact_shard(folder, result.unit.name, table)
             counts[0] += 1

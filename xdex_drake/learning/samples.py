@@ -13,16 +13,16 @@ from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
 from xdex_drake.arrays import Array
+from xdex_drake.dataset.assets import hand_finder, object_finder
 from xdex_drake.dataset.folder import read_dataset
 from xdex_drake.dataset.schema import ObjectFacts, object_facts_from_row
 from xdex_drake.errors import DatasetError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.hand.library import load_hand
 from xdex_drake.hand.link_pose import link_pose_vectors
 from xdex_drake.learning.features import hand_features, object_features, object_point
 from xdex_drake.learning.pack import NORMAL, HandFeatures, ObjectFeatures, Pack, check_pack
-from xdex_drake.scene.object import ObjectModel, load_object
+from xdex_drake.scene.object import ObjectModel
 
 CLOUD = 2048
 """Points kept of each scene; a training step sees a part of them."""
@@ -70,33 +70,14 @@ class HandGrasps:
     outcome: np.ndarray
 
 
-def object_of_facts(facts: ObjectFacts) -> ObjectModel:
-    """The object that a row names.
-
-    Args:
-        facts: What the row says about its object.
-
-    Returns:
-        The object.
-
-    Raises:
-        DatasetError: What is found under its name is another mesh.
-        XdexError: Nothing is found, or it cannot be used.
-    """
-    found = load_object(facts.path, scale=facts.scale, mass=facts.mass, friction=facts.friction)
-    if found.digest != facts.digest:
-        raise DatasetError(f"object {facts.name}: {facts.path} is not the mesh of the grasps; restore that file")
-    return found
-
-
 def pack_dataset(
     folder: str | Path,
     *,
     splits: Splits | None = None,
     failures: float = 1.0,
     seed: int = 0,
-    hands: Callable[[str], Hand] = load_hand,
-    objects: Callable[[ObjectFacts], ObjectModel] = object_of_facts,
+    hands: Callable[[str], Hand] | None = None,
+    objects: Callable[[ObjectFacts], ObjectModel] | None = None,
 ) -> Pack:
     """The grasps of a data set, ready for `training.train`.
 
@@ -108,8 +89,8 @@ def pack_dataset(
         splits: What validates; None leaves the choice to training.
         failures: Grasps that did not lift to keep, at most this many for each that did.
         seed: Seed of their choice.
-        hands: Finds a hand by the name that rows give it.
-        objects: Finds an object by what rows say about it.
+        hands: Finds a hand by the name that rows give it; in the folder, then in the library, where None.
+        objects: Finds an object by what rows say about it; in the folder, then by its path, where None.
 
     Returns:
         The pack.
@@ -125,10 +106,10 @@ def pack_dataset(
     if len(table) == 0:
         raise DatasetError(f"{folder}: no grasp to learn from; generate more grasps that lift")
     scene, rows = _codes(table["scene_id"])
-    scenes = _scenes(table, rows, objects)
+    scenes = _scenes(table, rows, objects or object_finder(folder))
     outcome, reasons = _outcomes(table)
     pair = _pairs(table, scene, len(scenes))
-    grasps = list(_grasps_by_hand(table, hands, scenes, scene, pair, outcome))
+    grasps = list(_grasps_by_hand(table, hands or hand_finder(folder), scenes, scene, pair, outcome))
     return make_pack(scenes, grasps, reasons, splits=splits, notes={"rows": len(table)})
 
 
