@@ -51,6 +51,45 @@ def read_typed_yaml(path: str | Path, cls: type[T], *, error: type[XdexError] = 
     return typing.cast(T, _read(values, cls, str(file), "", error))
 
 
+MAX_DEPTH = 16
+"""Deepest nesting of YAML files that come from outside."""
+
+YamlLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The faster of PyYAML's safe loaders."""
+
+
+def plain_yaml(text: str, source: str, *, error: type[XdexError], mend: str, loader: Any = YamlLoader) -> Any:
+    """Plain data from YAML text from outside. Aliases, which can unfold without bound, and deep nesting are refused.
+
+    Args:
+        text: The text.
+        source: Where it comes from, for the message.
+        error: Class of the error to raise.
+        mend: What to do where it is nested too deep.
+        loader: A safe loader.
+
+    Returns:
+        Dictionaries, lists, numbers and texts.
+
+    Raises:
+        XdexError: Of class `error`: it is no valid YAML, has an alias, or is nested deeper than `MAX_DEPTH`.
+    """
+    try:
+        depth = 0
+        for event in yaml.parse(text, Loader=loader):
+            if isinstance(event, yaml.AliasEvent):
+                line = event.start_mark.line + 1
+                raise error(f"{source}: line {line} uses a YAML alias (*{event.anchor}); write the value out")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > MAX_DEPTH:
+                line = event.start_mark.line + 1
+                raise error(f"{source}: line {line} is nested deeper than {MAX_DEPTH}; {mend}")
+        return yaml.load(text, Loader=loader)  # a safe loader
+    except (yaml.YAMLError, ValueError) as cause:
+        said = " ".join(str(cause).split())
+        raise error(f"{source}: this is not valid YAML ({said}); mend the syntax") from cause
+
+
 def from_plain(values: Any, cls: type[T], source: str, *, field: str = "", error: type[XdexError] = ConfigError) -> T:
     """Reads plain dictionaries and lists, as YAML and JSON give them, into a frozen dataclass.
 

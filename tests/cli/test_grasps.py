@@ -13,6 +13,8 @@ from xdex_drake.cli import main
 from xdex_drake.dataset.files import load_grasps
 from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
 from xdex_drake.grasping.tally import Tally
+from xdex_drake.interchange.formats import FORMATS
+from xdex_drake.interchange.naming import resolve
 from xdex_drake.jobs.grasps import BatchResult, GraspRequest, synthesize_batches
 from xdex_drake.scene.facts import SceneFacts
 from xdex_drake.scene.object import load_object
@@ -54,6 +56,32 @@ def test_export_is_plain_json(grasps, tmp_path):
     content = json.loads(out.read_text())
     assert len(content["grasps"]) == 2 and content["columns"]["mass_kg"]["unit"] == "kg"
     assert content["grasps"][0]["q"] == read_grasps(grasps)[0]["q"]
+    (item, _), package = load_grasps(grasps), content["execution"][0]
+    names = [waypoint["name"] for waypoint in package["waypoints"]]
+    assert names == ["approach", "pregrasp", "grasp", "squeeze", "lift"]
+    times = [waypoint["time_s"] for waypoint in package["waypoints"]]
+    assert times == sorted(times) and package["hand"]["joint_names"] == list(item.hand.joint_names)
+    squeeze = package["waypoints"][3]
+    np.testing.assert_allclose(squeeze["torque"], item.grasp.tau_squeeze)
+    np.testing.assert_allclose(squeeze["X_WB"], item.row["X_WB"], atol=1e-9)
+    assert package["waypoints"][4]["X_WB"][2] == pytest.approx(squeeze["X_WB"][2] + 0.25)
+
+
+@pytest.mark.parametrize("format", ["isaac_grasp", "dexgraspbench", "arrays"])
+def test_export_to_other_tools_names_what_it_holds(grasps, format, tmp_path, capsys):
+    form = FORMATS[format]
+    out = tmp_path / f"x{form.suffixes[0]}"
+    assert main(["export", str(grasps), "--format", format, "--out", str(out)]) == 0
+    for item, record in zip(load_grasps(grasps), form.read(out), strict=True):
+        assert record.name == item.grasp.grasp_id and record.object == "can"
+        np.testing.assert_allclose(resolve(record, item.hand, str(out)).grasp.q, item.grasp.q)
+    assert main(["export", str(grasps), "--format", format, "--out", str(tmp_path / "x.txt")]) == 2
+
+
+def test_export_as_urdf_is_a_folder_to_play_from(grasps, tmp_path):
+    assert main(["export", str(grasps), "--format", "urdf", "--out", str(tmp_path / "robot")]) == 0
+    assert (tmp_path / "robot/allegro/allegro.urdf").exists() and (tmp_path / "robot/can/can.urdf").exists()
+    assert len(json.loads((tmp_path / "robot/execution.json").read_text())["grasps"]) == 2
 
 
 def test_two_simulators_judge_the_same_grasps(grasps, tmp_path, capsys):

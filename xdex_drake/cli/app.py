@@ -43,7 +43,7 @@ COMMANDS: dict[str, Entry] = {
     "hand show": Entry("hands", "HandShow", "one hand: joints, fingers, where its facts come from"),
     "hand view": Entry("hands", "HandView", "one hand in Meshcat"),
     "hand import": Entry("hands", "HandImport", "a hand from a URDF, MJCF or SDFormat file, with no annotation"),
-    "hand export": Entry("hands", "HandExport", "a hand as a URDF or MJCF file with meshes, for other tools"),
+    "hand export": Entry("hands", "HandExport", "a hand as a URDF, SDFormat or MJCF file with meshes, for other tools"),
     "hand mirror": Entry("hands", "HandMirror", "the left hand of a right one"),
     "hand generate": Entry("hand_sets", "HandGenerate", "a thousand hands: human ones and variations of robot hands"),
     "hand stats": Entry("hand_sets", "HandStats", "count a folder of hands, and picture it"),
@@ -53,6 +53,7 @@ COMMANDS: dict[str, Entry] = {
     "object show": Entry("objects", "ObjectShow", "one object: mass, convex parts, how good they are"),
     "object generate": Entry("objects", "ObjectGenerate", "generated shapes as mesh files, with a picture of them"),
     "object import": Entry("objects", "ObjectImport", "check, clean and scale mesh files"),
+    "object export": Entry("objects", "ObjectExport", "an object as a URDF, SDFormat or MJCF file with its meshes"),
     "solve": Entry("solve", "Solve", "solve a problem file and read its costs and constraints"),
     "grasp": Entry("grasps", "GraspCommand", "grasps that are optimised, certified and lifted"),
     "retarget": Entry("grasps", "Retarget", "the same grasps by other hands"),
@@ -68,7 +69,7 @@ COMMANDS: dict[str, Entry] = {
     "train": Entry("datasets", "Train", "train the cross-embodiment model"),
     "predict": Entry("predict", "Predict", "grasps from the model, made feasible and certified"),
     "view": Entry("show", "View", "stored grasps in Meshcat, live or as one page"),
-    "export": Entry("show", "Export", "stored grasps in other tools' formats"),
+    "export": Entry("export", "Export", "stored grasps in other tools' formats"),
     "bench": Entry("bench", "Bench", "how long search, polish, certificate and lift take here"),
 }
 

@@ -229,12 +229,13 @@ def _millimetres(p: Array) -> str:
 
 @dataclass(frozen=True)
 class HandExport:
-    """Writes a hand as a URDF or MJCF file with OBJ meshes, for other tools.
+    """Writes a hand as a URDF, SDFormat or MJCF file with OBJ meshes, for other tools.
 
-    URDF is what Pinocchio, yourdfpy, Drake and others open; MJCF is for MuJoCo, with position actuators of the lifts'
-    gains, contacts and armature set, ready for `python -m mujoco.viewer --mjcf=FILE`. Joint names, limits, efforts,
-    couplings and inertias are the hand's own. The empty link (in MJCF: site) `wrist` marks the wrist frame, to which
-    grasps refer; `thumb_tip`, `index_tip` and so on mark the fingertips.
+    URDF is what Pinocchio, yourdfpy, Drake and others open, SDFormat is for Gazebo and Drake; MJCF is for MuJoCo, with
+    position actuators of the lifts' gains, contacts and armature set, ready for `python -m mujoco.viewer --mjcf=FILE`.
+    Joint names, limits, efforts, couplings and inertias are the hand's own. The empty link (in SDFormat: frame, in
+    MJCF: site) `wrist` marks the wrist frame, to which grasps refer; `thumb_tip`, `index_tip` and so on mark the
+    fingertips.
     Try `xdex hand export allegro --format mjcf --out allegro_mjcf`.
 
     Attributes:
@@ -244,17 +245,18 @@ class HandExport:
     """
 
     hand: tyro.conf.Positional[HandName]
-    format: Literal["urdf", "mjcf"] = "urdf"
+    format: Literal["urdf", "sdf", "mjcf"] = "urdf"
     out: Path | None = None
 
     def run(self) -> int:
         """Writes the files."""
         from xdex_drake.hand.library import load_hand
         from xdex_drake.interchange.mjcf import export_mjcf
+        from xdex_drake.interchange.sdf import export_sdf
         from xdex_drake.interchange.urdf import export_urdf
 
         hand = load_hand(self.hand)
-        export = {"urdf": export_urdf, "mjcf": export_mjcf}[self.format]
+        export = {"urdf": export_urdf, "sdf": export_sdf, "mjcf": export_mjcf}[self.format]
         print(f"{hand.name}: {export(hand, self.out or Path(f'{hand.name}_{self.format}'))}")
         return 0
 

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, progress, table
+from xdex_drake.cli.output import check_writable, facts, keeping_finished_work, progress, table, tell_repairs
 
 if TYPE_CHECKING:
     from pydrake.math import RigidTransform
@@ -152,6 +152,41 @@ class ObjectImport:
         if refused := [mesh.refused for mesh in done if mesh.refused]:
             raise ConfigError(" | ".join(refused))
         return interruption.status(0)
+
+
+@dataclass(frozen=True)
+class ObjectExport:
+    """Writes an object as a URDF, SDFormat or MJCF file, for other tools.
+
+    It shows its mesh and collides by its convex parts, which tools that take the convex hull of a mesh need; mass and
+    inertia are written. Try `xdex object export mug --format sdf --out mug_sdf`.
+
+    Attributes:
+        object: A library name, a generated shape such as s0-0042, or the path of a mesh.
+        format: The format.
+        out: Folder for the file and meshes/; NAME_FORMAT in this folder where not given.
+        scale: Factor from the mesh file's unit to metres; guessed by the size where not given.
+        mass: Mass [kg].
+        friction: Coefficient of friction.
+    """
+
+    object: tyro.conf.Positional[ObjectName]
+    format: Literal["urdf", "sdf", "mjcf"] = "urdf"
+    out: Path | None = None
+    scale: float | None = None
+    mass: float = 0.1
+    friction: float = 0.6
+
+    def run(self) -> int:
+        """Writes the files."""
+        from xdex_drake.interchange.objects import export_object
+        from xdex_drake.scene.object import load_object
+
+        model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction)
+        tell_repairs(model)
+        out = self.out or Path(f"{model.name}_{self.format}")
+        print(f"{model.name}: {export_object(model, out, format=self.format)}")
+        return 0
 
 
 @dataclass(frozen=True)

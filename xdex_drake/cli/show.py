@@ -1,13 +1,12 @@
-"""`xdex view` and `xdex export`: stored grasps are shown and handed to other tools."""
+"""`xdex view`: stored grasps are shown."""
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import tyro
 
@@ -76,72 +75,6 @@ def _verdict(grasp: Grasp) -> str:
     if grasp.lift is None:
         return "not lifted yet"
     return "lifted" if grasp.lift.success else grasp.lift.failure_reason
-
-
-@dataclass(frozen=True)
-class Export:
-    """Stored grasps for other tools.
-
-    `json` holds every column, as plain numbers and names, with the unit and the meaning of each. `mujoco` is a folder
-    with a scene for each grasp: hand, object and table, ready for `python -m mujoco.viewer --mjcf=GRASP.xml`, with the
-    key frames pregrasp, grasp and squeeze.
-    Try `xdex export grasps.parquet --out grasps.json`, then
-    `xdex export grasps.parquet --format mujoco --out scenes`.
-
-    Attributes:
-        file: A file of grasps.
-        format: The format.
-        out: The file or folder to write; grasps.json or grasps_mujoco in this folder where not given.
-    """
-
-    file: tyro.conf.Positional[Path]
-    format: Literal["json", "mujoco"] = "json"
-    out: Path | None = None
-
-    def run(self) -> int:
-        """Writes the file or the folder."""
-        return {"json": self._write_json, "mujoco": self._write_scenes}[self.format]()
-
-    def _write_json(self) -> int:
-        out = self.out or Path("grasps.json")
-        check_output_file(out, ".json")
-        from xdex_drake.dataset.grasp_file import read_grasps
-        from xdex_drake.dataset.schema import SCHEMA
-
-        rows = read_grasps(self.file)
-        columns = {
-            column.name: {key.decode(): value.decode() for key, value in (column.metadata or {}).items()}
-            for column in SCHEMA
-        }
-        conventions = {key.decode(): value.decode() for key, value in (SCHEMA.metadata or {}).items()}
-        content = {"conventions": conventions, "columns": columns, "grasps": rows}
-        write_text(out, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
-        print(f"{len(rows)} grasps: {out}")
-        return 0
-
-    def _write_scenes(self) -> int:
-        from xdex_drake.dataset.files import load_grasps
-        from xdex_drake.errors import ConfigError
-        from xdex_drake.simulation.scenes import export_scenes
-
-        stored = load_grasps(self.file)
-        if not stored:
-            raise ConfigError(f"{self.file}: holds no grasps; make some with `xdex grasp`")
-        out = self.out or Path("grasps_mujoco")
-        files = export_scenes([(item.grasp, item.hand, item.scene) for item in stored], out)
-        print(f"{len(files)} scenes: {out}; try `python -m mujoco.viewer --mjcf={files[0]}`")
-        return 0
-
-
-def _without_nan(value: object) -> object:
-    """The same with None for numbers that JSON does not have."""
-    if isinstance(value, float):
-        return value if value - value == 0.0 else None
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return value
 
 
 def write_replays(path: Path, grasps: Sequence[Grasp], hand: Hand, scene: Scene) -> None:

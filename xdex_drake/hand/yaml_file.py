@@ -25,10 +25,10 @@ from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, 
 from xdex_drake.hand.inertia import link_inertia
 from xdex_drake.hand.shapes import values_of
 from xdex_drake.hand.spheres import fit_spheres
+from xdex_drake.typed_yaml import YamlLoader, plain_yaml
 
 MAX_BYTES = 5_000_000
 MAX_LINKS = 500
-MAX_DEPTH = 16
 UNIT_TOLERANCE = 1e-3
 """A direction's length may differ from one by this much, for the digits a person writes."""
 
@@ -132,7 +132,7 @@ def _canonical(value: Any) -> Any:
 # ---- reading
 
 
-class _Loader(yaml.CSafeLoader if hasattr(yaml, "CSafeLoader") else yaml.SafeLoader):  # type: ignore[misc]
+class _Loader(YamlLoader):
     """The safe loader, which also refuses a key that is given twice."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -148,26 +148,8 @@ class _Loader(yaml.CSafeLoader if hasattr(yaml, "CSafeLoader") else yaml.SafeLoa
 
 
 def _load(text: str, file: str) -> Any:
-    """Plain data from YAML text. Aliases, which can unfold without bound, and deep nesting are refused beforehand."""
-    try:
-        depth = 0
-        for event in yaml.parse(text, Loader=_Loader):
-            if isinstance(event, yaml.AliasEvent):
-                line = event.start_mark.line + 1
-                raise HandFileError(f"{file}: line {line} uses a YAML alias (*{event.anchor}); write the value out")
-            if isinstance(event, yaml.CollectionStartEvent):
-                depth += 1
-            elif isinstance(event, yaml.CollectionEndEvent):
-                depth -= 1
-            if depth > MAX_DEPTH:
-                line = event.start_mark.line + 1
-                raise HandFileError(
-                    f"{file}: line {line} is nested deeper than {MAX_DEPTH}; use the layout of hands/*.yaml"
-                )
-        return yaml.load(text, Loader=_Loader)  # a safe loader
-    except (yaml.YAMLError, ValueError) as error:
-        said = " ".join(str(error).split())
-        raise HandFileError(f"{file}: this is not valid YAML ({said}); mend the syntax") from error
+    """Plain data from a hand's text."""
+    return plain_yaml(text, file, error=HandFileError, mend="use the layout of hands/*.yaml", loader=_Loader)
 
 
 class _Field:

@@ -9,8 +9,8 @@ most of what a fingertip weighs then. `docs/mujoco.md` gives the numbers, measur
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -18,12 +18,12 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
-from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
 from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
-from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
+from xdex_drake.interchange.parts import ModelFile, file_name, hull_obj, marked_frames, number, numbers
 from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR, visual_obj
+from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.plant import CARRIAGE_MASS, CARRIAGE_RADIUS, PlantSettings
 from xdex_drake.scene.tabletop import Scene
 
@@ -58,43 +58,6 @@ class MjcfSettings:
 MJCF = MjcfSettings()
 
 
-@dataclass(frozen=True)
-class Mjcf:
-    """A model as MJCF.
-
-    Attributes:
-        xml: The MJCF file's text.
-        meshes: Files of the folder `meshes` beside it, by name.
-    """
-
-    xml: str
-    meshes: Mapping[str, str] = field(repr=False)
-
-    def write(self, file: str | Path) -> Path:
-        """Writes the file and its meshes.
-
-        Args:
-            file: The .xml file; folders are made where they do not exist.
-
-        Returns:
-            The file.
-
-        Raises:
-            ConfigError: It cannot be written.
-        """
-        file = Path(file)
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            if self.meshes:
-                (file.parent / "meshes").mkdir(exist_ok=True)
-            for name, text in self.meshes.items():
-                (file.parent / "meshes" / name).write_text(text, encoding="ascii")
-            file.write_text(self.xml, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be written ({error.strerror}); choose another folder") from None
-        return file
-
-
 def export_mjcf(hand: Hand, folder: str | Path) -> Path:
     """Writes NAME.xml and meshes/*.obj into a folder: a hand that MuJoCo opens; see `hand_mjcf`.
 
@@ -111,7 +74,7 @@ def export_mjcf(hand: Hand, folder: str | Path) -> Path:
     return hand_mjcf(hand).write(Path(folder) / f"{file_name(hand.name)}.xml")
 
 
-def hand_mjcf(hand: Hand, *, plant: PlantSettings | None = None, settings: MjcfSettings = MJCF) -> Mjcf:
+def hand_mjcf(hand: Hand, *, plant: PlantSettings | None = None, settings: MjcfSettings = MJCF) -> ModelFile:
     """A hand as MJCF, its wrist frame H fixed in the world's.
 
     Bodies, joints, limits, couplings, inertias and shapes are the hand's; a body's frame is L. Every actuated joint has
@@ -160,7 +123,7 @@ def scene_mjcf(
     keyframes: Sequence[KeyFrame] = (),
     name: str = "",
     settings: MjcfSettings = MJCF,
-) -> Mjcf:
+) -> ModelFile:
     """A hand on a carriage, an object and a table as MJCF.
 
     The carriage's three slides along x, y and z of W come first among bodies, joints and actuators, then the body that
@@ -185,9 +148,25 @@ def scene_mjcf(
     model.add_surroundings(scene, plant)
     mount = model.add_carriage(hand, plant, X_WH or RigidTransform())
     model.add_hand(mount, hand, plant)
-    model.add_object(hand, scene, plant, scene.X_WO)
+    model.add_object(hand, scene.object, plant, scene.X_WO)
     if keyframes:
         model.add_keyframes(hand, scene.X_WO, keyframes)
+    return model.finished()
+
+
+def object_mjcf(thing: ObjectModel, *, plant: PlantSettings | None = None, settings: MjcfSettings = MJCF) -> ModelFile:
+    """An object as MJCF, free, its frame O at the origin; see `scene_mjcf` for what it collides by.
+
+    Args:
+        thing: The object.
+        plant: Friction of what it will touch; the library's where None.
+        settings: MuJoCo's physics.
+
+    Returns:
+        The model.
+    """
+    model = _Model(thing.name, settings)
+    model.add_object(None, thing, plant or PlantSettings(), RigidTransform())
     return model.finished()
 
 
@@ -196,8 +175,10 @@ def body_name(link: Link) -> str:
     return link.name if link.name != "world" else "world_link"
 
 
-def _unused(name: str, hand: Hand) -> str:
+def _unused(name: str, hand: Hand | None) -> str:
     """A name like the given one that neither link nor joint of a hand has."""
+    if hand is None:
+        return name
     taken = {body_name(link) for link in hand.links} | {joint.name for joint in hand.joints}
     while name in taken:
         name += "_"
@@ -232,7 +213,7 @@ class _Model:
         self.equality = SubElement(self.root, "equality")
         self.actuator = SubElement(self.root, "actuator")
 
-    def finished(self) -> Mjcf:
+    def finished(self) -> ModelFile:
         """The file; sections without content are left out."""
         for section in (self.asset, self.contact, self.equality, self.actuator):
             if not len(section):
@@ -240,7 +221,7 @@ class _Model:
         for body in self.world.iter("body"):
             body[:] = sorted(body, key=lambda element: BODY_ORDER.index(element.tag))
         indent(self.root)
-        return Mjcf(tostring(self.root, encoding="unicode") + "\n", self.meshes)
+        return ModelFile(tostring(self.root, encoding="unicode") + "\n", self.meshes)
 
     @property
     def soft(self) -> tuple[str, str]:
@@ -270,9 +251,9 @@ class _Model:
         pose = {"pos": numbers(X_WH.translation()), "quat": _quaternion(X_WH.rotation().matrix())}
         return SubElement(body, "body", {"name": _unused("mount", hand), **pose})
 
-    def add_object(self, hand: Hand, scene: Scene, plant: PlantSettings, X_WO: RigidTransform) -> None:
+    def add_object(self, hand: Hand | None, thing: ObjectModel, plant: PlantSettings, X_WO: RigidTransform) -> None:
         """Adds the object, free, at a pose."""
-        thing, name = scene.object, _unused("object", hand)
+        name = _unused("object", hand)
         friction = 2.0 * plant.friction * thing.friction / max(plant.friction + thing.friction, 1e-12)
         solref, solimp = self.soft
         default = SubElement(self.defaults, "default", {"class": "object"})

@@ -1,9 +1,16 @@
-"""What the writers of all formats share: numbers, file names, marked frames, convex hulls as OBJ files."""
+"""What the writers of all formats share: numbers, file names, marked frames, convex hulls as OBJ files, and writing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from xdex_drake.arrays import Array
+from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 
 
@@ -59,3 +66,40 @@ def hull_obj(vertices: Array) -> str:
     lines += [f"vn {numbers(n)}" for n in normals]
     lines += [f"f {i}//{k} {j}//{k} {m}//{k}" for k, (i, j, m) in enumerate(index[corners].tolist(), start=1)]
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A hand, an object or a scene in some format.
+
+    Attributes:
+        xml: The main file's text.
+        meshes: Files of the folder `meshes` beside it, by name.
+    """
+
+    xml: str
+    meshes: Mapping[str, str] = field(repr=False)
+
+    def write(self, file: str | Path) -> Path:
+        """Writes the file and its meshes.
+
+        Args:
+            file: The main file; folders are made where they do not exist.
+
+        Returns:
+            The file.
+
+        Raises:
+            ConfigError: It cannot be written.
+        """
+        file = Path(file)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if self.meshes:
+                (file.parent / "meshes").mkdir(exist_ok=True)
+            for name, text in self.meshes.items():
+                (file.parent / "meshes" / name).write_text(text, encoding="ascii")
+            file.write_text(self.xml, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{file}: cannot be written ({error.strerror}); choose another folder") from None
+        return file

@@ -20,8 +20,8 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
 
     Link and joint names, frames, limits, efforts, mimic laws and inertias are the hand's; the base link's frame is B.
     A link `wrist` marks the wrist frame H and links `FINGER_tip` the tip points. A capsule becomes a cylinder with two
-    balls, since URDF has none; each convex part is a mesh of its own with normals. Pairs of links that may not collide
-    are written for Drake.
+    balls, since URDF has none; each convex part is a mesh of its own with normals. Actuated joints have transmissions.
+    Pairs of links that may not collide are written for Drake.
 
     Args:
         hand: The hand.
@@ -44,6 +44,8 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
         _add_link(robot, link, meshes)
     for joint in hand.joints:
         _add_joint(robot, joint)
+    for name in hand.joint_names:
+        _add_transmission(robot, name)
     for name, link, p, R in marked_frames(hand):
         SubElement(robot, "link", {"name": name})
         fixed = SubElement(robot, "joint", {"name": f"{name}_fixed", "type": "fixed"})
@@ -92,7 +94,7 @@ def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
         if k <= m
     }
     SubElement(inertial, "inertia", moments)
-    parts = [part for shape in link.geometry for part in _simple_parts(shape)]
+    parts = [part for shape in link.geometry for part in simple_parts(shape)]
     for k, (kind, attributes, p, R) in enumerate(parts):
         if isinstance(attributes, Convex):
             name = f"{file_name(link.name)}_{k}.obj"
@@ -104,7 +106,7 @@ def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
             SubElement(SubElement(entry, "geometry"), kind, attributes)
 
 
-def _simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, Array, Array | None]]:
+def simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, Array, Array | None]]:
     """A primitive as URDF's shapes: element, attributes, and pose in L."""
     if isinstance(shape, Sphere):
         return [("sphere", {"radius": number(shape.radius)}, shape.center, None)]
@@ -112,7 +114,7 @@ def _simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, A
         return [("box", {"size": numbers(shape.size)}, shape.p_LG, shape.R_LG)]
     if isinstance(shape, Convex):
         return [("mesh", shape, np.zeros(3), None)]
-    balls = [_simple_parts(Sphere(p, shape.radius))[0] for p in (shape.p0, shape.p1)]
+    balls = [simple_parts(Sphere(p, shape.radius))[0] for p in (shape.p0, shape.p1)]
     d = shape.p1 - shape.p0
     length = float(np.linalg.norm(d))
     if length < 1e-9:
@@ -139,6 +141,16 @@ def _add_joint(robot: Element, joint: Joint) -> None:
     if joint.coupling is not None:
         law = {"multiplier": number(joint.coupling.multiplier), "offset": number(joint.coupling.offset)}
         SubElement(element, "mimic", {"joint": joint.coupling.master, **law})
+
+
+def _add_transmission(robot: Element, joint: str) -> None:
+    """A motor without gear, which ROS and Drake ask for."""
+    element = SubElement(robot, "transmission", {"name": f"{joint}_transmission"})
+    SubElement(element, "type").text = "transmission_interface/SimpleTransmission"
+    held = SubElement(element, "joint", {"name": joint})
+    SubElement(held, "hardwareInterface").text = "hardware_interface/EffortJointInterface"
+    actuator = SubElement(element, "actuator", {"name": f"{joint}_motor"})
+    SubElement(actuator, "mechanicalReduction").text = "1"
 
 
 def _add_filters(robot: Element, hand: Hand) -> None:

@@ -19,7 +19,7 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import MissingExtra
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.interchange.mjcf import MJCF, Mjcf, MjcfSettings, body_name
+from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, ModelFile, body_name
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
 from xdex_drake.simulation.scenes import lift_scene
@@ -178,7 +178,7 @@ def mujoco_module() -> Any:
     return mujoco
 
 
-def load_model(mjcf: Mjcf) -> Any:
+def load_model(mjcf: ModelFile) -> Any:
     """A model as MuJoCo compiles it, without files.
 
     Args:

@@ -9,7 +9,7 @@ from pathlib import Path
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
-from xdex_drake.interchange.mjcf import MJCF, KeyFrame, Mjcf, MjcfSettings, scene_mjcf
+from xdex_drake.interchange.mjcf import MJCF, KeyFrame, MjcfSettings, ModelFile, scene_mjcf
 from xdex_drake.interchange.parts import file_name
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
@@ -23,7 +23,7 @@ def lift_scene(
     protocol: LiftProtocol = LIFT,
     grasp: Grasp | None = None,
     settings: MjcfSettings = MJCF,
-) -> Mjcf:
+) -> ModelFile:
     """The scene of a lift as MJCF; see `interchange.mjcf.scene_mjcf`.
 
     Args:
