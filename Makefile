@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= report
+SITE := build/docs/html
 
 # The first interpreter that is new enough; `make PYTHON=/path/to/python3.12 ...` overrides it.
 PYTHON ?= $(shell for p in python3.11 python3 python3.12 python3.13 python3.14 python; do \
@@ -14,12 +15,13 @@ PYTHON ?= $(shell for p in python3.11 python3 python3.12 python3.13 python3.14 p
 # One thread a process: the tests run in two processes, and small matrices gain nothing from more.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help demo test check format lint types wheel torch-only clean
+.PHONY: help demo test check format lint types wheel docs torch-only clean
 
 help:
 	@echo "make demo    the whole path in minutes; writes $(OUT)/index.html"
 	@echo "make test    the tests"
 	@echo "make check   format, lint, types, and the built wheel in an empty folder"
+	@echo "make docs    the site, with tutorials executed; writes $(SITE)/index.html"
 	@echo "make torch-only  training where only torch, NumPy, safetensors, PyYAML and tqdm are installed"
 	@echo "make format  format the code and mend what the linter can"
 	@echo "make clean   remove what was built, but not $(VENV)"
@@ -54,6 +56,15 @@ wheel: $(STAMP)
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation --outdir dist
 	$(ONE_THREAD) XDEX_WHEEL_DIR=dist $(BIN)/python -m pytest tests/packaging
+
+$(VENV)/.docs: $(STAMP)
+	$(BIN)/python -m pip install --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+# Warnings are errors. Tutorials are executed once, and again when their text changes; make clean forgets them.
+docs: $(VENV)/.docs
+	$(ONE_THREAD) $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html docs $(SITE)
+	@echo "written to $(SITE)/index.html"
 
 # Training must run on a machine that has no Drake: an environment of its own, a tiny pack, a few steps.
 TORCH_ONLY := build/torch-only

@@ -1,9 +1,9 @@
-"""Prints the README's table of figures from the results that lie beside the studies; a test holds the README to it.
+"""Prints the table of figures from the results that lie beside the studies; a test holds docs/measured.md to it.
 
     python studies/measured.py            # the table
-    python studies/measured.py --write    # into README.md, between its two marks
+    python studies/measured.py --write    # into docs/measured.md, between its two marks
 
-Every row names the file that it comes from; the command that made the file stands in the study's first lines.
+Every row names the file that it comes from, and the command that made the file.
 """
 
 import csv
@@ -15,17 +15,18 @@ from pathlib import Path
 from typing import Any
 
 STUDIES = Path(__file__).resolve().parent
-README = STUDIES.parent / "README.md"
+PAGE = STUDIES.parent / "docs" / "measured.md"
 BEGIN, END = "<!-- measured: python studies/measured.py --write -->\n", "<!-- end of measured -->"
 NAMES = {"allegro": "Allegro", "shadow": "Shadow", "ability": "Ability", "inspire": "Inspire", "schunk_svh": "SVH"}
-ROWS: list[tuple[str, str, Callable[[Path], str]]] = []
+HOLDS = "python studies/holds/survival.py run MESHES studies/holds/survival.csv --mujoco"
+ROWS: list[tuple[str, str, str, Callable[[Path], str]]] = []
 
 
-def row(what: str, file: str) -> Callable[[Callable[[Path], str]], Callable[[Path], str]]:
-    """Registers the figure of a row, which is made from a file."""
+def row(what: str, file: str, command: str) -> Callable[[Callable[[Path], str]], Callable[[Path], str]]:
+    """Registers the figure of a row, which is made from a file that a command made."""
 
     def register(figure: Callable[[Path], str]) -> Callable[[Path], str]:
-        ROWS.append((what, file, figure))
+        ROWS.append((what, file, command, figure))
         return figure
 
     return register
@@ -55,6 +56,7 @@ def survivors(path: Path) -> list[dict[str, str]]:
 @row(
     "certified grasps that lift (`lift-0.2/2tips`), first four of each hand and mesh, nothing selected",
     "holds/survival.csv",
+    HOLDS,
 )
 def lifted(path: Path) -> str:
     """Lifted of certified."""
@@ -63,7 +65,7 @@ def lifted(path: Path) -> str:
     return f"{by_hand(rows, 'lifted', 'certified')}; {meshes} scanned or modelled meshes"
 
 
-@row("of these: held for two seconds more, then six pushes of the weight (`hold`)", "holds/survival.csv")
+@row("of these: held for two seconds more, then six pushes of the weight (`hold`)", "holds/survival.csv", HOLDS)
 def held(path: Path) -> str:
     """Held of lifted, in both simulators."""
     rows = survivors(path)
@@ -78,7 +80,7 @@ def held(path: Path) -> str:
     )
 
 
-@row("likewise, of those that are foretold to hold, as a search asks", "holds/survival.csv")
+@row("likewise, of those that are foretold to hold, as a search asks", "holds/survival.csv", HOLDS)
 def foretold(path: Path) -> str:
     """Held of lifted among those foretold to hold."""
     rows = [line for line in survivors(path) if line["foretold"] not in ("", "nan") and float(line["foretold"]) <= 0.0]
@@ -87,7 +89,7 @@ def foretold(path: Path) -> str:
     return f"{by_hand(rows, 'held', 'lifted')}; in MuJoCo {judged} of {len(other)}"
 
 
-@row("the same meshes: hands and meshes of which 40 s of search gave fewer than four", "holds/survival.csv")
+@row("the same meshes: hands and meshes of which 40 s of search gave fewer than four", "holds/survival.csv", HOLDS)
 def missing(path: Path) -> str:
     """Cells that are not full."""
     cells: dict[tuple[str, str], int] = {}
@@ -105,6 +107,7 @@ def stage(content: dict[str, Any], name: str) -> float:
 @row(
     "a grasp of a can by Allegro, one core: polish, certificate with squeeze and pre-grasp, lift",
     "bench/force_closure.json",
+    "xdex bench force_closure --out studies/bench/force_closure.json",
 )
 def synthesis(path: Path) -> str:
     """Times of synthesis."""
@@ -116,7 +119,11 @@ def synthesis(path: Path) -> str:
     return f"{times}{last:.0f} ms; {facts['certified']} of {facts['tried']} certified, {facts['lifted']} lifted"
 
 
-@row("wrench programs, four contacts: balance, task margin, ball margin, check without a solver", "bench/wrench.json")
+@row(
+    "wrench programs, four contacts: balance, task margin, ball margin, check without a solver",
+    "bench/wrench.json",
+    "xdex bench wrench --out studies/bench/wrench.json",
+)
 def wrench(path: Path) -> str:
     """Times of wrench programs."""
     content = json.loads(path.read_text(encoding="utf-8"))
@@ -126,7 +133,11 @@ def wrench(path: Path) -> str:
     return ", ".join(f"{exact[name]:.2g}" for name in names) + f" ms; worst residual {worst:.0e} of m g"
 
 
-@row("link-pose inverse kinematics, batches of 128, five hands", "bench/ik.json")
+@row(
+    "link-pose inverse kinematics, batches of 128, five hands",
+    "bench/ik.json",
+    "xdex bench ik --out studies/bench/ik.json",
+)
 def kinematics(path: Path) -> str:
     """Times of inverse kinematics."""
     content = json.loads(path.read_text(encoding="utf-8"))
@@ -135,14 +146,22 @@ def kinematics(path: Path) -> str:
     return f"{min(times):.2g} to {max(times):.2g} ms a pose, fingertips within 1 mm in {right:.0%}"
 
 
-@row("a thousand generated hands, each checked and simulated, two cores", "hands/thousand.json")
+@row(
+    "a thousand generated hands, each checked and simulated, two cores",
+    "hands/thousand.json",
+    "python studies/hands/thousand.py studies/hands/thousand.json",
+)
 def thousand(path: Path) -> str:
     """Generation."""
     made = json.loads(path.read_text(encoding="utf-8"))
     return f"{made['wall_s']:.0f} s, {made['largest_process_mb']} MB a process; {made['topologies']} topologies"
 
 
-@row("meshes imported with no hand work", "objects/import.csv")
+@row(
+    "meshes imported with no hand work",
+    "objects/import.csv",
+    "python studies/objects/run.py meshes MESHES --out studies/objects/import.csv",
+)
 def meshes(path: Path) -> str:
     """Import of meshes."""
     rows = [line for line in read(path) if not line["repairs"].startswith("REFUSED")]
@@ -155,7 +174,11 @@ def meshes(path: Path) -> str:
     )
 
 
-@row("draws of the small model that ships, refined: lifted of drawn (can, bottle, mug)", "predictions/results.csv")
+@row(
+    "draws of the small model that ships, refined: lifted of drawn (can, bottle, mug)",
+    "predictions/results.csv",
+    "python studies/predictions/run.py studies/predictions/results.csv",
+)
 def predictions(path: Path) -> str:
     """Predictions."""
     rows, parts = read(path), []
@@ -168,21 +191,22 @@ def predictions(path: Path) -> str:
 
 
 def table() -> str:
-    """The table as Markdown; rows whose file is not there yet are left out."""
+    """The figures as a table in Markdown, and one of the commands; rows whose file is not there yet are left out."""
+    rows = [row for row in ROWS if (STUDIES / row[1]).exists()]
     lines = ["| what | figure | from `studies/` |", "|---|---|---|"]
-    for what, file, figure in ROWS:
-        if (STUDIES / file).exists():
-            lines.append(f"| {what} | {figure(STUDIES / file)} | `{file}` |")
+    lines += [f"| {what} | {figure(STUDIES / file)} | `{file}` |" for what, file, _, figure in rows]
+    lines += ["", "| file | made by |", "|---|---|"]
+    lines += [f"| `{file}` | `{command}` |" for file, command in dict(row[1:3] for row in rows).items()]
     return "\n".join(lines) + "\n"
 
 
-def written(readme: str) -> str:
-    """A README with the table in its place."""
-    head, rest = readme.split(BEGIN)
-    return head + BEGIN + table() + END + rest.split(END)[1]
+def written(page: str) -> str:
+    """A page with the table in its place."""
+    head, rest = page.split(BEGIN)
+    return head + BEGIN + "\n" + table() + "\n" + END + rest.split(END)[1]
 
 
 if __name__ == "__main__":
     if "--write" in sys.argv:
-        README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")
+        PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     print(table(), end="")

@@ -18,6 +18,8 @@
 # %%
 from pathlib import Path
 
+from PIL import Image
+
 import xdex_drake as xd
 
 print("hands:  ", ", ".join(xd.list_hands()))
@@ -82,6 +84,8 @@ print("holds in plain NumPy:", xd.check_certificate(proof).passes())
 lift = xd.lift(grasp, hand, scene)
 print("lifted:", lift.success, lift.failure_reason, f"by {100 * lift.lift_height_m:.1f} cm, held by", lift.fingertips)
 Path("allegro.html").write_text(xd.replay_lift(grasp, hand, scene))
+if xd.can_see():  # a still picture, where this machine can render
+    Image.fromarray(xd.render_grasp(grasp, hand, scene, size=(640, 480))).save("allegro.png")
 
 # %% [markdown]
 # ## The same grasp by another hand
@@ -96,6 +100,8 @@ print("by Shadow:", "found" if outcome.grasp else f"none, {outcome.reason} could
 if outcome.grasp is not None:
     print("lifted:", xd.lift(outcome.grasp, shadow, scene).success)
     Path("shadow.html").write_text(xd.replay_lift(outcome.grasp, shadow, scene))
+    if xd.can_see():
+        Image.fromarray(xd.render_grasp(outcome.grasp, shadow, scene, size=(640, 480))).save("shadow.png")
 
 # %% [markdown]
 # Open the pages in a browser: they need no network.

@@ -16,9 +16,11 @@
 
 # %%
 import numpy as np
+from PIL import Image
 
 import xdex_drake as xd
 from xdex_drake.programs.margin_cost import margin_cost
+from xdex_drake.visualization.pictures import contact_sheet
 
 hand = xd.load_hand("allegro")
 scene = xd.make_scene(xd.load_object("can"))
@@ -83,7 +85,16 @@ print("certified task margin: {:.2f} before, {:.2f} after".format(*margins))
 
 # %% [markdown]
 # Below 1, a push as strong as the object is heavy throws it off; a search of the library hands out no such grasp.
-#
+# What the costs did to the hand:
+
+# %%
+lowered = xd.finish_grasp(hand, after.point).grasp
+shown = {"plain": proofs[0], "low wrist": lowered, "firm": proofs[1]}
+if xd.can_see():
+    pictures = {what: xd.render_grasp(grasp, hand, scene) for what, grasp in shown.items() if grasp is not None}
+    Image.fromarray(contact_sheet(list(pictures.values()), list(pictures), columns=3)).save("three_programs.png")
+
+# %% [markdown]
 # ## A cost through Drake
 #
 # `program.prog` is an ordinary `MathematicalProgram`, and anything that Drake offers can be added to it. Such a cost is

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import xdex_drake as xd
 from xdex_drake.arrays import skew
@@ -28,6 +29,7 @@ from xdex_drake.programs.costs import EnergyCost, LeastSquares
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.programs.terms import EQ_1, Pull, View
+from xdex_drake.visualization.pictures import contact_sheet
 
 hand = xd.load_hand("allegro")
 scene = xd.make_scene(xd.load_object("can"))
@@ -227,6 +229,13 @@ for name, result in results.items():
     degrees = float(np.degrees(np.arcsin(level(result.point)[0][0])))
     print(f"{name}: {result.status}, {degrees:.1f} degrees, level costs {result.costs['level']:.4f}")
 assert results["search with the term"].costs["level"] <= after.costs["level"]
+
+# %%
+if xd.can_see():
+    shown = {"without the term": before, **results}
+    grasps = {name: xd.finish_grasp(hand, result.point).grasp for name, result in shown.items()}
+    pictures = {name: xd.render_grasp(grasp, hand, scene) for name, grasp in grasps.items() if grasp is not None}
+    Image.fromarray(contact_sheet(list(pictures.values()), list(pictures), columns=3)).save("level.png")
 
 # %% [markdown]
 # **Exercise.** Keep the index finger's and the middle finger's tips 4 cm apart, as a block of one row in millimetres.

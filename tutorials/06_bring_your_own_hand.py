@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 import xdex_drake as xd
 
@@ -74,6 +75,8 @@ print("palm:", hand.links[0].name, "| fingers:", {finger.name: finger.tip_link f
 # %%
 Path("three_fingers.html").write_text(xd.import_page(imported))
 print("palm link in H:", hand.p_HB, "rest posture [rad]:", np.round(hand.q_rest, 2))
+if xd.can_see():
+    Image.fromarray(xd.hands_sheet([hand], size=(480, 480))).save("three_fingers.png")
 
 # %% [markdown]
 # ## Correct what is wrong
@@ -108,6 +111,8 @@ lifted = [grasp for grasp in grasps if grasp.lift is not None and grasp.lift.suc
 print(f"{len(lifted)} of {len(grasps)} certified grasps lift the ball")
 if lifted:
     Path("grasp.html").write_text(xd.replay_lift(lifted[0], hand, scene))
+    if xd.can_see():
+        Image.fromarray(xd.render_grasp(lifted[0], hand, scene, size=(640, 480))).save("grasp.png")
 
 # %% [markdown]
 # A hand that is already in a plant of yours enters by `xd.hand_from_plant(plant, model_instance)`, its left twin is

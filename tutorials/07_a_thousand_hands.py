@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 import xdex_drake as xd
 
@@ -41,6 +42,8 @@ print("history of", hands[1].name, "->", hands[1].sources["base"], "|", hands[1]
 
 # %%
 Path("hands.html").write_text(xd.browser_page(hands, title="Eight generated hands"))
+if xd.can_see():
+    Image.fromarray(xd.hands_sheet(hands, columns=4, size=(240, 240))).save("hands.png")
 
 # %% [markdown]
 # ## Your own variations

@@ -18,6 +18,7 @@
 # %%
 import numpy as np
 import trimesh
+from PIL import Image
 
 import xdex_drake as xd
 
@@ -131,6 +132,8 @@ hand = xd.load_hand("allegro")
 for grasp in xd.synthesize(hand, scene, count=1, seed=0, time_limit_s=20.0):
     assert grasp.lift is not None
     print("lifted" if grasp.lift.success else f"failed: {grasp.lift.failure_reason}")
+    if xd.can_see():
+        Image.fromarray(xd.render_grasp(grasp, hand, scene, size=(640, 480))).save("vase.png")
 
 # %% [markdown]
 # **Exercise.** Cut the vase's inner wall away, so that only the outer surface is left, open at the top. What does the

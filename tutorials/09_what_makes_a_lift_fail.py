@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from pydrake.math import RigidTransform
 
 import xdex_drake as xd
@@ -114,6 +115,8 @@ tell("twice the mass", robust.heavy)
 # %%
 failed = replace(grasp, tau_squeeze=0.2 * grasp.tau_squeeze)
 Path("failed_lift.html").write_text(xd.replay_lift(failed, hand, scene))
+if xd.can_see():
+    Image.fromarray(xd.render_grasp(grasp, hand, scene, size=(640, 480))).save("failed_lift.png")
 print("failed_lift.html:", Path("failed_lift.html").stat().st_size // 1000, "kB")
 
 # %% [markdown]

@@ -19,9 +19,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from pydrake.math import RigidTransform
 
 import xdex_drake as xd
+from xdex_drake.visualization.hand_sets import hand_picture
 
 # %% [markdown]
 # ## A clip without a camera
@@ -123,6 +125,9 @@ print("same joint values:", bool(np.allclose(own.q, crossed.q, atol=1e-6)))
 R_WH, p_WH = np.array([frame.R_WH for frame in frames]), np.array([frame.p_WH for frame in frames])
 page = xd.motion_page(hand, q, R_WH, p_WH, points=retargeter.scaled_points(clip.points), title="Allegro follows")
 Path("follow.html").write_text(page)
+if xd.can_see():
+    closed = hand_picture(hand, q=q[-1], size=(480, 480))
+    Image.fromarray(closed).save("follow.png")
 print("follow.html:", Path("follow.html").stat().st_size // 1000, "kB")
 
 # %% [markdown]
