@@ -18,6 +18,7 @@ import numpy as np
 import xdex_drake as xd
 from xdex_drake.grasping.finish import SEARCHED, finish_grasp, prepared
 from xdex_drake.grasping.idle import idle_fingers
+from xdex_drake.grasping.passive import holding_squeeze
 from xdex_drake.grasping.synthesis import SynthesisSettings, batch_seed
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.force_closure import program_of_candidate
@@ -54,7 +55,8 @@ def pairs(hand: xd.Hand, scene: xd.Scene) -> Iterator[tuple[str, xd.Grasp, xd.Gr
             if rested is None or not idle_fingers(hand, [c.link for c in rested.certificate.contacts]):
                 continue
             k = result.point.k
-            plain = prepared(hand, scene, k, rested.certificate, protocol=LIFT, demands=SEARCHED).grasp
+            holding = holding_squeeze(hand, k, scene, rested.certificate, kp=LIFT.plant.kp)
+            plain = prepared(hand, scene, k, rested.certificate, holding, protocol=LIFT, demands=SEARCHED).grasp
             if plain is not None:
                 yield f"{batch}-{row}", plain, rested
 

@@ -41,7 +41,7 @@ def system(name, nc=4, efforts=np.inf, at_stop=None):
     return stiffness, loads, np.tile([0.0, 0.0, 1.0], len(links))
 
 
-EASY = SqueezeSettings(object_stiffness=1.0, joint_stiffness=0.01)
+EASY = SqueezeSettings(object_stiffness=1.0, joint_stiffness=0.01, rounds=3)
 
 
 @pytest.fixture(scope="module", params=["allegro", "inspire", "schunk_svh"])
@@ -79,7 +79,7 @@ def test_the_check_sees_what_is_wrong(solved):
 def test_without_slips_the_margin_is_the_elastic_one():
     """The program's optimum against the closed form at its forces."""
     stiffness, loads, start = system("allegro")
-    settings = replace(EASY, slip=0.0, friction=1.0, enough=50.0, part=1.0, rounds=8, greatest=2.0)
+    settings = replace(EASY, slip=0.0, friction=1.0, enough=50.0, worth=1e4, rounds=8, greatest=2.0)
     squeeze = passive_squeeze(stiffness, loads, start, settings)
     assert squeeze.status == "solved" and not squeeze.slips.any()
     assert squeeze.elastic_margin == pytest.approx(squeeze.margin, rel=1e-3)
@@ -88,7 +88,7 @@ def test_without_slips_the_margin_is_the_elastic_one():
 def test_slips_only_help():
     stiffness, loads, start = system("inspire")
     margins = [
-        passive_squeeze(stiffness, loads, start, replace(EASY, slip=slip, enough=50.0, rounds=1)).margin
+        passive_squeeze(stiffness, loads, start, replace(EASY, slip=slip, enough=50.0, worth=1e4, rounds=1)).margin
         for slip in (0.0, 1e-4, 1e-3)
     ]
     assert margins[0] < margins[1] < margins[2]

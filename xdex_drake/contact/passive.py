@@ -4,13 +4,14 @@ A hand that holds constant targets does not choose new forces when something pus
 law of `contact.stiffness`. So the squeeze is chosen for all pushes at once, by a convex program in the forces f0 that
 press while nothing pushes. With gravity F, pushes w_k, slips g_k of the contacts and friction cones K it is
 
-    maximise s  subject to
+    maximise worth s - 1/2 |f0|^2  subject to
         G f0 + F = 0,  f0 in K,  C_s f0 in the range of [J, -G'],       at rest
         f0 + s df_k - W g_k in K,  |g_ki| <= slip,                      at every push
         |tau| <= effort,  |tau - K_p dq_k| <= effort,  tau = A f0,      within the hand's means
         K_q(f0) >= eps_q I,  K_x(f0) >= eps_x I,                        stable
 
-and after it the least forces that keep a given part of that s.
+so that a hand presses more where that makes it hold more: the greatest s first and then the least forces that keep .95
+of it take twice as long, and give forces that are foretold to hold as well.
 
 *What targets can command.* Targets u and the object's motion x give f0 = C_s^-1 (J dq - G' x), whatever u: a hand whose
 joints control four of nine force components cannot choose the other five; they are as the contacts' compliance has it.
@@ -65,11 +66,11 @@ class SqueezeSettings:
         greatest: Greatest normal force at each contact while nothing pushes [N].
         slip: Distance that each contact may slide under each push [m].
         enough: Margin beyond which more force is not wanted.
-        part: Part of the greatest margin that least forces keep where it is below `enough`.
+        worth: What a unit of margin is worth in forces, as half of their square [N^2].
         joint_stiffness: Least eigenvalue of K_q, as a share of K_p.
         object_stiffness: Least eigenvalue of K_x, rotations divided by the object's length [N/m].
         preload: Torque with which joints at a stop press on it beyond what the forces ask for [N m].
-        rounds: Times that the geometric stiffness is taken anew.
+        rounds: Times that the geometric stiffness is taken anew; more than one changes little of what is foretold.
     """
 
     friction: float = 0.8
@@ -77,11 +78,11 @@ class SqueezeSettings:
     greatest: float = 10.0
     slip: float = 1e-3
     enough: float = 3.0
-    part: float = 0.95
+    worth: float = 100.0
     joint_stiffness: float = 0.25
     object_stiffness: float = 30.0
     preload: float = 0.2
-    rounds: int = 2
+    rounds: int = 1
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,7 @@ def elastic_margin(f: Array, df: Array, mus: Array, cap: float = 100.0) -> float
 def passive_squeeze(
     stiffness: GraspStiffness, loads: Loads, start: Array, settings: SqueezeSettings | None = None
 ) -> PassiveSqueeze:
-    """The squeeze that holds the greatest multiple of some pushes with constant targets, and the least forces for it.
+    """The squeeze that holds the greatest multiple of some pushes with constant targets, for the forces that it takes.
 
     Args:
         stiffness: The grasp's stiffness.
@@ -305,27 +306,19 @@ class _Round:
 
 
 def _round(program: _Round) -> tuple[str, Array, float]:
-    """Status, variables x of the least forces, and the margin that they keep."""
-    settings, d, size = program.settings, program.d, program.size
+    """Status, variables x, and the margin."""
+    d = program.d
+    P, q = np.full(program.size, 1e-4), np.zeros(program.size)
+    P[:d], P[d], q[d] = 1.0, 0.0, -program.settings.worth
+    cones, stable = _cone_rows(program), _stability_rows(program)
     joints = np.zeros(0, dtype=np.int64)
     while True:  # efforts seldom bind: their rows are added where they are violated
-        linear, cones, stable = _linear_rows(program, joints), _cone_rows(program), _stability_rows(program)
-        P, q = np.full(size, 1e-7), np.zeros(size)
-        P[d], q[d] = 0.0, -1.0
-        status, x = _solve(P, q, linear, cones, stable)
+        status, x = _solve(P, q, _linear_rows(program, joints), cones, stable)
         if status != "solved":
             return status, x, 0.0
-        # A little less than the cap, where the cap is what bounds it, so that the least forces have an interior.
-        margin = min(settings.enough - 1e-4, settings.part * max(0.0, float(x[d])))
-        if x[d] > settings.enough - 1e-4:
-            margin = settings.enough - 1e-4
-        P[:d], P[d + 1 :], q[d] = 1.0, 1e-4, 0.0
-        linear[1][0] = -margin
-        status, least = _solve(P, q, linear, cones, stable)
-        x = least if status == "solved" else x
         beyond = np.setdiff1d(_over_effort(program, x), joints)
         if not len(beyond):
-            return "solved", x, margin
+            return "solved", x, max(0.0, float(x[d]))
         joints = np.concatenate([joints, beyond])
 
 
@@ -517,7 +510,7 @@ class SqueezeResiduals:
     stability: float
 
     def passes(self, tolerance: float = 1e-6) -> bool:
-        """Whether all is proved but the cones at pushes, which rounds leave to a hundredth of the weight."""
+        """Whether all is proved but the cones at pushes, which three rounds bring to a hundredth of the weight."""
         values = (self.balance, self.reach, self.slip, self.effort, self.stability)
         return all(value <= tolerance for value in values)
 

@@ -18,11 +18,11 @@ from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Certificate, Grasp
 from xdex_drake.grasping.approach import straight_approach
 from xdex_drake.grasping.idle import rest_idle_fingers
-from xdex_drake.grasping.passive import holding_squeeze
+from xdex_drake.grasping.passive import HoldingSqueeze, holding_squeeze
 from xdex_drake.grasping.pregrasp import pregrasp
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.grasping.reasons import Reason, Rejection
-from xdex_drake.grasping.squeeze import squeeze, squeezed
+from xdex_drake.grasping.squeeze import squeezed
 from xdex_drake.grasping.true_shapes import clear, lowest_height, touch
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
@@ -174,16 +174,27 @@ def finish_grasp(hand: Hand, point: Point, *, protocol: LiftProtocol = LIFT, dem
     if isinstance(found, Rejection):
         return Outcome(None, found)
     (k, certificate), scene = found, point.scene
+    # Rejects most, and does not depend on idle fingers.
+    holding = holding_squeeze(hand, k, scene, certificate, kp=protocol.plant.kp)
+    if holding.foretold > demands.foretold:
+        return Outcome(None, Rejection(Reason.HOLD))
     rested = rest_idle_fingers(hand, scene, k, [contact.link for contact in certificate.contacts])
-    outcome = prepared(hand, scene, rested, certificate, protocol=protocol, demands=demands)
-    if outcome.reason is None or outcome.reason.reason is Reason.HOLD or rested is k:
+    outcome = prepared(hand, scene, rested, certificate, holding, protocol=protocol, demands=demands)
+    if outcome.grasp is not None or rested is k:
         return outcome
     # Idle fingers near the object may bar the way to it: then they stay as they were.
-    return prepared(hand, scene, k, certificate, protocol=protocol, demands=demands)
+    return prepared(hand, scene, k, certificate, holding, protocol=protocol, demands=demands)
 
 
 def prepared(
-    hand: Hand, scene: Scene, k: Configuration, certificate: Certificate, *, protocol: LiftProtocol, demands: Demands
+    hand: Hand,
+    scene: Scene,
+    k: Configuration,
+    certificate: Certificate,
+    holding: HoldingSqueeze,
+    *,
+    protocol: LiftProtocol,
+    demands: Demands,
 ) -> Outcome:
     """Measures the penetration of a certified grasp, opens it and squeezes it.
 
@@ -192,11 +203,12 @@ def prepared(
         scene: The scene.
         k: The grasp's configuration.
         certificate: Its certificate.
+        holding: Its squeeze.
         protocol: The protocol whose gains the squeeze is for.
         demands: What the grasp must meet.
 
     Returns:
-        The grasp, or the reason why there is none.
+        The grasp with the forces of its squeeze in its certificate, or the reason why there is none.
     """
     depth_parts, depth_mesh = penetrations(hand, k, scene)
     if max(depth_parts, depth_mesh) > demands.penetration_m:
@@ -211,54 +223,23 @@ def prepared(
         return Outcome(None, Rejection(Reason.PREGRASP, "table"))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
         return Outcome(None, Rejection(Reason.APPROACH))
+    squeeze = holding.squeeze
     grasp = Grasp(
         hand=hand.name,
         object=scene.object.name,
         X_WO=scene.X_WO,
         X_WH=k.X_WH,
         q=np.clip(k.q, hand.limits[0], hand.limits[1]),
-        certificate=certificate,
+        certificate=with_forces(certificate, squeeze.f),
         X_WH_pregrasp=opened.X_WH,
         q_pregrasp=opened.q,
         penetration_parts_m=depth_parts,
         penetration_mesh_m=depth_mesh,
-    )
-    return held_firmly(hand, scene, k, grasp, protocol=protocol, demands=demands)
-
-
-def held_firmly(
-    hand: Hand, scene: Scene, k: Configuration, grasp: Grasp, *, protocol: LiftProtocol, demands: Demands
-) -> Outcome:
-    """Squeezes a grasp for all pushes at once, and asks whether it is foretold to hold.
-
-    Args:
-        hand: The hand.
-        scene: The scene.
-        k: The grasp's configuration.
-        grasp: A grasp with a certificate.
-        protocol: The protocol whose gains the squeeze is for.
-        demands: What the grasp must meet.
-
-    Returns:
-        The grasp with the forces of its squeeze in its certificate, or the reason why there is none. Where no squeeze
-        for all pushes is found and the demands do not ask for one, the certificate's own forces are applied.
-    """
-    assert grasp.certificate is not None
-    kp = protocol.plant.kp
-    holding = holding_squeeze(hand, k, scene, grasp.certificate, kp=kp)
-    if holding.foretold > demands.foretold:
-        return Outcome(None, Rejection(Reason.HOLD))
-    found = holding.squeeze
-    if found.status != "solved":
-        return Outcome(squeeze(hand, grasp, scene, kp))
-    grasp = replace(
-        grasp,
-        certificate=with_forces(grasp.certificate, found.f),
-        squeeze_margin=found.elastic_margin,
-        stiffness_least=found.object_eigenvalue,
+        squeeze_margin=squeeze.elastic_margin,
+        stiffness_least=squeeze.object_eigenvalue,
         foretold_motion=holding.foretold,
     )
-    return Outcome(squeezed(hand, grasp, found.torques, kp))
+    return Outcome(squeezed(hand, grasp, squeeze.torques, protocol.plant.kp))
 
 
 def polish(

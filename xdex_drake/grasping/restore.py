@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.arrays import Array
 from xdex_drake.grasping.finish import GIVEN, Outcome, certified, polish, prepared
+from xdex_drake.grasping.passive import holding_squeeze
 from xdex_drake.grasping.reasons import Rejection
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
@@ -40,7 +41,8 @@ def restore(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, slots: NDA
     found = certified(hand, Point(k, scene, contacts, np.zeros((len(contacts.spheres), 3))), RESTORED)
     if not isinstance(found, Rejection):
         # Idle fingers rest already.
-        outcome = prepared(hand, scene, found[0], found[1], protocol=LIFT, demands=RESTORED)
+        holding = holding_squeeze(hand, found[0], scene, found[1], kp=LIFT.plant.kp)
+        outcome = prepared(hand, scene, *found, holding, protocol=LIFT, demands=RESTORED)
         if outcome.grasp is not None:
             return outcome
     return polish(polish_program(hand, scene, X_WH, q, slots), demands=RESTORED)
