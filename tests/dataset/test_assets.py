@@ -16,6 +16,7 @@ from xdex_drake.dataset.assets import (
     object_finder,
     with_kept_mesh,
 )
+from xdex_drake.dataset.card import licences
 from xdex_drake.dataset.files import scene_facts
 from xdex_drake.dataset.folder import Manifest, open_dataset, write_shard
 from xdex_drake.dataset.rows import object_facts
@@ -58,6 +59,16 @@ def test_a_mesh_is_copied_with_its_licence_and_found_by_its_digest(tmp_path, bri
         "LICENSE.txt",
         "brick.stl",
     ]
+
+
+def test_licences_are_told_as_far_as_files_state_them(tmp_path, brick):
+    folder = opened(tmp_path / "data")
+    keep_mesh(folder, brick)
+    claw = dataclasses.replace(load_hand("inspire"), name="claw")
+    keep_hand(folder, claw)
+    told = dict(licences(folder))
+    assert told["brick.stl"] == f"[LICENSE.txt](assets/{brick.digest}/LICENSE.txt)"
+    assert told["claw.yaml"].startswith("not stated")
 
 
 def test_rows_name_the_copy_relative_to_the_folder(tmp_path, brick, make_row):

@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from xdex_drake import whole_file
 from xdex_drake.cli import main
-from xdex_drake.dataset.card import card
 from xdex_drake.dataset.folder import completed_units, failed_units, iter_rejected, read_dataset
 from xdex_drake.dataset.lock import locked
 from xdex_drake.dataset.verify import verify
@@ -21,6 +21,7 @@ from xdex_drake.errors import ConfigError, DatasetError, GraspFileError
 from xdex_drake.jobs import pairs
 from xdex_drake.jobs.pairs import DatasetConfig, UnitRows, generate, part_of, plan
 from xdex_drake.jobs.population import expand_names
+from xdex_drake.visualization.pictures import can_render
 
 TINY = DatasetConfig(
     hands=("inspire", "ability", "allegro"),
@@ -129,7 +130,12 @@ def test_rows_name_their_sources_and_are_sound(made):
 def test_the_card_counts_every_attempt(made, tmp_path, capsys):
     assert main(["dataset", "card", str(made), "--out", str(tmp_path / "card.md")]) == 0
     text = (tmp_path / "card.md").read_text()
-    assert text == capsys.readouterr().out == card(made)
+    assert text == capsys.readouterr().out
+    if can_render():
+        shown = sorted((tmp_path / "card_pictures").glob("*.jpg"))
+        assert shown and all(f"](card_pictures/{path.name})" in text for path in shown)
+        assert Image.open(shown[0]).size[0] >= 640  # a source and a version at least
+    assert "data_files: shards/*.parquet" in text and "MIT, as the library" in text
     rows = [row for row in read_dataset(made).to_pylist() if row["source_grasp_id"]]
     rejected = [entry for _, entries in iter_rejected(made) for entry in entries]
     lifted = sum(row["success"] for row in rows)

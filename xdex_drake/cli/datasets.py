@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,15 +146,18 @@ class DatasetVerify:
 class DatasetCard:
     """Writes the card of a data set: what it holds, what was attempted, what lifted, and why the rest did not.
 
+    Pictures show grasps that were carried to most hands; they are written beside the card.
     Try `xdex dataset card pairs --out pairs/README.md`.
 
     Attributes:
         folder: Folder of the data set.
         out: The Markdown file; `README.md` in the folder where none is given.
+        pictures: Greatest number of pictures; 0 for none.
     """
 
     folder: tyro.conf.Positional[Path]
     out: Path | None = None
+    pictures: int = 3
 
     def run(self) -> int:
         """Writes the card and prints it."""
@@ -161,10 +165,36 @@ class DatasetCard:
         from xdex_drake.dataset.card import card
         from xdex_drake.whole_file import write_text
 
-        text = card(self.folder)
-        write_text(self.out or self.folder / "README.md", text)
+        out = self.out or self.folder / "README.md"
+        check_writable(out)
+        text = card(self.folder, self._pictures(out))
+        write_text(out, text)
         print(text, end="")
         return 0
+
+    def _pictures(self, out: Path) -> list[tuple[str, str]]:
+        """Writes the pictures; their paths relative to the card, and what they show."""
+        from PIL import Image
+
+        from xdex_drake.dataset.versions import most_carried
+        from xdex_drake.visualization.pictures import can_render
+        from xdex_drake.visualization.versions import picture_of_versions
+        from xdex_drake.whole_file import whole_file
+
+        if self.pictures < 1:
+            return []
+        if not can_render():
+            print("xdex: pictures cannot be rendered on this machine, and are left out", file=sys.stderr)
+            return []
+        folder, told = out.parent / f"{out.stem}_pictures", []
+        for k, versions in enumerate(most_carried(self.folder, sources=self.pictures)):
+            folder.mkdir(parents=True, exist_ok=True)
+            with whole_file(folder / f"{k}.jpg") as unfinished:
+                Image.fromarray(picture_of_versions(versions)).save(unfinished, format="JPEG", quality=88)
+            first = versions[0]
+            caption = f"{first.scene.object.name}: a grasp by {first.hand.name} and its versions by other hands"
+            told.append((f"{folder.name}/{k}.jpg", caption))
+        return told
 
 
 @dataclass(frozen=True)

@@ -30,18 +30,22 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 _LICENCE = re.compile(r"(licen[cs]e|copying|notice)([._-].*)?", re.IGNORECASE)
 
 
-def keep_hand(folder: str | Path, hand: Hand) -> None:
-    """Copies a hand into a data set, unless the library has it by name.
+def keep_hand(folder: str | Path, hand: Hand, file: Path | None = None) -> None:
+    """Copies a hand into a data set, with the licence files beside its file; not one that the library has by name.
 
     Args:
         folder: Folder of the data set.
         hand: The hand.
+        file: Its file, None where there is none.
 
     Raises:
         DatasetError: It cannot be written.
     """
-    if hand.name not in list_hands() and read_hand_name(hand.name) is None:
-        _keep(folder, hand_digest(hand), f"{hand.name}.yaml", lambda path: path.write_text(hand_text(hand), "utf-8"))
+    if hand.name in list_hands() or read_hand_name(hand.name) is not None:
+        return
+    digest = hand_digest(hand)
+    _keep_licences(folder, digest, file)
+    _keep(folder, digest, f"{hand.name}.yaml", lambda path: path.write_text(hand_text(hand), "utf-8"))
 
 
 def keep_mesh(folder: str | Path, obj: ObjectModel) -> None:
@@ -59,9 +63,8 @@ def keep_mesh(folder: str | Path, obj: ObjectModel) -> None:
     file, _ = body_of_path(obj.path)
     if file.suffix.lower() == ".gltf":
         raise DatasetError(f"{file}: may refer to other files, and so cannot be copied; convert it to .glb")
-    beside = sorted(path for path in file.parent.iterdir() if is_licence(path))
-    for source in (*beside, file):  # the mesh last: where it is, all is
-        _keep(folder, obj.digest, source.name, lambda path, source=source: shutil.copyfile(source, path))
+    _keep_licences(folder, obj.digest, file)
+    _keep(folder, obj.digest, file.name, lambda path: shutil.copyfile(file, path))
 
 
 def copy_assets(source: str | Path, target: str | Path) -> None:
@@ -81,6 +84,12 @@ def copy_assets(source: str | Path, target: str | Path) -> None:
 def is_licence(path: Path) -> bool:
     """Whether a file is called as licences are."""
     return _LICENCE.fullmatch(path.name) is not None and path.is_file()
+
+
+def _keep_licences(folder: str | Path, digest: str, file: Path | None) -> None:
+    for path in () if file is None else sorted(file.parent.iterdir()):
+        if is_licence(path):
+            _keep(folder, digest, path.name, lambda copy, path=path: shutil.copyfile(path, copy))
 
 
 def _keep(folder: str | Path, digest: str, name: str, write: Callable[[Path], object]) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from xdex_drake.dataset.assets import ASSETS, asset, is_licence
 from xdex_drake.dataset.folder import Manifest, Rejected, iter_rejected, iter_shards, read_manifest
 from xdex_drake.hand.generation import HUMAN_EVERY, read_hand_name
 from xdex_drake.scene.generator import family_name, is_shape_name
@@ -36,6 +37,29 @@ NUMBERS: dict[str, Callable[[Mapping[str, Any]], float | None]] = {
     "fingertips at the end": lambda row: None if row["fingertips"] is None else len(row["fingertips"]),
 }
 """What is known of a lifted grasp, as numbers."""
+
+
+HEADING = """\
+---
+configs:
+- config_name: default
+  data_files: shards/*.parquet
+tags: [robotics, grasping, dexterous-manipulation]
+---
+"""
+"""What Hugging Face's `datasets` reads of a card."""
+
+READING = """\
+One row a grasp; the unit and the meaning of every column stand in the files. In the folder of the data set:
+
+```python
+pyarrow.parquet.read_table("shards")
+duckdb.sql("SELECT hand, count(*), avg(success::int) FROM 'shards/*.parquet' GROUP BY hand")
+datasets.load_dataset("parquet", data_files="shards/*.parquet")  # of Hugging Face
+xdex_drake.dataset.files.load_grasps("shards/UNIT.parquet")  # with hands and scenes, ready to be lifted or shown
+```"""
+
+NOT_STATED = "not stated; ask where it comes from before you pass it on"
 
 
 @dataclass
@@ -151,14 +175,16 @@ def _count_rejected(found: CardFacts, attempt: Rejected, obj: str) -> None:
     found.by_object.setdefault(object_kind(obj), Counts()).attempts += 1
 
 
-def card(folder: str | Path) -> str:
+def card(folder: str | Path, pictures: Sequence[tuple[str, str]] = ()) -> str:
     """The card of a data set.
 
     Args:
         folder: Folder of the data set.
+        pictures: Pictures to show: the path of each relative to the card, and what it shows.
 
     Returns:
-        Markdown; the same shards give the same text.
+        Markdown with the heading by which Hugging Face's `datasets` finds the shards; the same shards give the same
+        text.
 
     Raises:
         DatasetError: The folder is no data set.
@@ -166,14 +192,37 @@ def card(folder: str | Path) -> str:
     """
     manifest, found = read_manifest(folder), card_facts(folder)
     total = Counts(*(sum(getattr(c, entry.name) for c in found.by_hand.values()) for entry in fields(Counts)))
-    lines = ["# Data set of dexterous grasps", "", *_overview(manifest, found, total), ""]
+    lines = [HEADING, "# Data set of dexterous grasps", "", *_overview(manifest, found, total), ""]
+    for path, caption in pictures:
+        lines += [f"![{caption}]({path})", "", f"*{caption}.*", ""]
+    lines += ["## How to read it", "", READING, ""]
     lines += ["## Retargetings", "", *_rates("hand", {**dict(sorted(found.by_hand.items())), "all": total}), ""]
     lines += [*_rates("object", dict(sorted(found.by_object.items()))), ""]
     reasons = sorted(found.reasons.items(), key=lambda item: (item[0][0], -item[1], item[0][1]))
     lines += ["## What was lost", "", *_table(("stage", "reason", "count"), [(*key, n) for key, n in reasons]), ""]
     lines += ["## Grasps that lifted", "", *_distributions(found.numbers), ""]
+    lines += ["## Licences", "", *_table(("what", "licence"), licences(folder)), ""]
     lines += ["## Configuration", "", "```yaml", *(f"{k}: {_short(v)}" for k, v in manifest.config.items()), "```", ""]
     return "\n".join(lines)
+
+
+def licences(folder: str | Path) -> list[tuple[str, str]]:
+    """The licence of each hand and mesh of a data set, as far as files state it.
+
+    Args:
+        folder: Folder of the data set.
+
+    Returns:
+        What and under which licence, those of the library first.
+    """
+    lines = [("hands and shapes of the library, and generated ones", "MIT, as the library")]
+    for home in sorted(path for path in (Path(folder) / ASSETS).glob("*") if path.is_dir()):
+        stated = [path.name for path in sorted(home.iterdir()) if is_licence(path)]
+        file = asset(folder, home.name)
+        if file is not None:
+            said = ", ".join(f"[{name}]({ASSETS}/{home.name}/{name})" for name in stated)
+            lines.append((file.name, said or NOT_STATED))
+    return lines[:1] + sorted(lines[1:])
 
 
 def _overview(manifest: Manifest, found: CardFacts, total: Counts) -> list[str]:

@@ -395,7 +395,7 @@ def keep_assets(config: DatasetConfig, folder: str | Path) -> None:
     hands, sources, _ = population(config)
     for name in dict.fromkeys((*hands, *sources)):
         if read_hand_name(name) is None:
-            keep_hand(folder, load_hand(name))
+            keep_hand(folder, load_hand(name), Path(name) if Path(name).is_file() else None)
     for path, scale in {unit.object: unit.scale for unit in plan(config)}.items():
         if not is_shape_name(path):
             keep_mesh(folder, scene_of_unit(path, scale, 0, config.mass, config.seed).object)
