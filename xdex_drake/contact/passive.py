@@ -44,11 +44,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
-from scipy.sparse.csgraph import connected_components
 
 from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import cone_violation
-from xdex_drake.contact.conic import STOPPED, cone_rows, conic, solve_conic, torque_scaling
+from xdex_drake.contact.conic import STOPPED, cone_rows, conic, diagonal, solve_conic, torque_scaling
 from xdex_drake.contact.grasp_map import Effort, GraspMap
 from xdex_drake.contact.stiffness import GraspStiffness, response
 
@@ -413,16 +412,25 @@ def _stability_rows(program: _Round) -> tuple[Array, Array, tuple[int, ...]]:
 
 def joint_blocks(stiffness: GraspStiffness) -> list[NDArray[np.int64]]:
     """Joints that K_q couples, those of one finger, as indices into `stiffness.joints`."""
-    joined = np.abs(stiffness.slopes).max(axis=0, initial=0.0) > 1e-12
-    count, labels = connected_components(joined, directed=False)
-    return [np.flatnonzero(labels == label) for label in range(count)]
+    joined = (np.abs(stiffness.slopes).max(axis=0, initial=0.0) > 1e-12) | np.eye(len(stiffness.kp), dtype=bool)
+    while not np.array_equal(joined, further := joined @ joined):
+        joined = further
+    first = joined.argmax(axis=1)
+    return [np.flatnonzero(first == joint) for joint in np.unique(first)]
 
 
 def _triangle(M: Array) -> Array:
     """Upper triangles of symmetric matrices, column by column, off-diagonals times sqrt 2, as Clarabel has them."""
-    columns, rows = np.tril_indices(M.shape[-1])
+    columns, rows, factors = _lower(M.shape[-1])
     M = 0.5 * (M + np.swapaxes(M, -1, -2))
-    return M[..., rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
+    return M[..., rows, columns] * factors
+
+
+@lru_cache(maxsize=32)
+def _lower(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Rows and columns of a lower triangle, row by row, and the factors of `_triangle`."""
+    rows, columns = np.tril_indices(size)
+    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
 def _solve(
@@ -433,12 +441,18 @@ def _solve(
     stable: tuple[Array, Array, tuple[int, ...]],
 ) -> tuple[str, Array]:
     """Status and solution of a program with diagonal cost."""
-    index = np.arange(len(P))
-    rows = csc_matrix(np.concatenate([linear[0], cones[0], stable[0]]))
+    rows = _sparse(np.concatenate([linear[0], cones[0], stable[0]]))
     right = np.concatenate([linear[1], cones[1], stable[1]])
     members = _members(len(linear[1]), len(cones[1]) // 3, stable[2])
-    status, x, _ = solve_conic(csc_matrix((P, (index, index))), q, rows, right, list(members), 1e-7)
+    status, x, _ = solve_conic(diagonal(P), q, rows, right, list(members), 1e-7)
     return status, np.array(x)
+
+
+def _sparse(M: Array) -> csc_matrix:
+    """A matrix without its zeros; `csc_matrix(M)` takes four times as long."""
+    columns, rows = np.nonzero(M.T)
+    starts = np.searchsorted(columns, np.arange(M.shape[1] + 1))
+    return csc_matrix((M[rows, columns], rows, starts), shape=M.shape)
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,9 @@ M being the object's inertia and D the joints' damping; contacts are springs C_s
 (phi_n), and along their tangents they have Coulomb's friction with the normal force of the step before, as in Drake's
 `lagged` approximation (Castro et al., 2023). That is a small convex program a step. It is solved by weighted least
 squares: |e_t'| is replaced by its majoriser at the last iterate, a damper mu f_n / sqrt(|e_t'|^2 + creep^2), so that
-every iterate lowers the cost. All pushes are stepped at once.
+every iterate lowers the cost. Iterates are solved for u = E z, E = [J, -G'], 3 nc numbers: with A = M / h^2 + D / h + H
+and weights W of springs and dampers, z = A^-1 (loads - E' W u) gives (1 + E A^-1 E' W) u = E A^-1 loads. All pushes are
+stepped at once.
 
 Reference:
     A. Castro, X. Han, J. Masterjohn, Irrotational contact fields, 2023, arXiv:2312.03908.
@@ -96,40 +98,46 @@ def pushed_motion(
     """
     f0, W = np.asarray(f, dtype=float).reshape(-1, 3), np.atleast_2d(np.asarray(wrenches, dtype=float))
     (k, nc), m, h = (len(W), len(f0)), len(stiffness.kp), settings.step_s
-    n = m + 6
-    E = np.concatenate([stiffness.J, -stiffness.G.T], axis=1).reshape(nc, 3, n)
-    Et, En, spring = E[:, :2].reshape(2 * nc, n), E[:, 2], 1.0 / stiffness.compliance[2::3]
-    dampers = np.einsum("can,cal->cnl", E[:, :2], E[:, :2]).reshape(nc, -1)
-    springs = (spring[:, None] * np.einsum("cn,cl->cnl", En, En).reshape(nc, -1)).copy()
+    # Components of all contacts: tangents in pairs, then normals.
+    order, t = np.concatenate([(3 * np.arange(nc)[:, None] + [0, 1]).ravel(), np.arange(2, 3 * nc, 3)]), 2 * nc
+    E = np.concatenate([stiffness.J, -stiffness.G.T], axis=1)[order]
     H = stiffness.hessian(f0.ravel()) - stiffness.elastic
     H[np.arange(m), np.arange(m)] += stiffness.kp
     M, D = _inertias(m, mass, np.asarray(inertia, dtype=float), settings.damping)
     inert, still = M / h**2 + D / h, M / h
-    fixed = inert + 0.5 * (H + H.T)
-    mus = np.full(nc, 1.0) * np.asarray(mu, dtype=float)
+    free = np.linalg.inv(inert + 0.5 * (H + H.T))
+    by_contacts = E @ free
+    S, Et, unit = by_contacts @ E.T, np.ascontiguousarray(E.T), np.eye(3 * nc)
+    mus, spring, at_rest = np.full(nc, 1.0) * np.asarray(mu, dtype=float), 1.0 / stiffness.compliance[2::3], f0[:, 2]
     # Loads at rest are in balance with f0, so that what remains is the pushes and what changes of the forces.
-    rest = np.einsum("ca,can->n", f0, E)
-    z, v, normal = np.zeros((k, n)), np.zeros((k, n)), np.tile(f0[:, 2], (k, 1))
-    c, touching, slid = mus * normal / settings.creep, np.ones((k, nc)), np.zeros((k, nc, 2))
-    shift, turn = np.zeros(k), np.zeros(k)
+    rest = f0.ravel()[order] @ E
+    z, v, u = np.zeros((k, m + 6)), np.zeros((k, m + 6)), np.zeros((k, 3 * nc))
+    normal, pressing, touching = np.tile(at_rest, (k, 1)), np.tile(at_rest, (k, 1)), np.ones((k, nc))
+    weights, pulls, slid = np.empty((k, 3 * nc)), np.empty((k, 3 * nc)), np.zeros((k, t))
+    c, shift, turn = mus * normal / settings.creep, np.zeros(k), np.zeros(k)
     for step in range(1, round(settings.duration_s / h) + 1):
         load = z @ inert + v @ still + rest
         load[:, m:] += min(1.0, step * h / settings.ramp_s) * W
-        was, limit, z_0, pressing = (z @ Et.T).reshape(k, nc, 2), mus * normal, z, normal
+        z_0, was, limit = z, u[:, :t], mus * normal
+        z_free = load @ free
+        u_free = z_free @ Et
         for _ in range(settings.iterations):
-            left = fixed + ((c / h) @ dampers + touching @ springs).reshape(k, n, n)
-            right = load + ((c / h)[:, :, None] * was).reshape(k, -1) @ Et - (touching * f0[:, 2]) @ En
-            z = np.linalg.solve(left, right[:, :, None])[:, :, 0]
-            slid = ((z @ Et.T).reshape(k, nc, 2) - was) / h
-            pressing = f0[:, 2] + spring * (z @ En.T)
+            # Contacts add -E' (weights u - pulls) to the loads.
+            weights[:, 0:t:2] = weights[:, 1:t:2] = c / h
+            weights[:, t:] = touching * spring
+            pulls[:, :t], pulls[:, t:] = weights[:, :t] * was, -touching * at_rest
+            u = np.linalg.solve(unit + S * weights[:, None, :], (u_free + pulls @ S)[:, :, None])[:, :, 0]
+            slid = (u[:, :t] - was) / h
+            pressing = at_rest + spring * u[:, t:]
             touching = (pressing > 0.0).astype(float)
-            c = limit / np.sqrt((slid**2).sum(axis=-1) + settings.creep**2)
+            c = limit / np.sqrt(slid[:, 0::2] ** 2 + slid[:, 1::2] ** 2 + settings.creep**2)
+        z = z_free - (weights * u - pulls) @ by_contacts
         v, normal = (z - z_0) / h, np.maximum(pressing, 0.0)
         lost = ~(np.abs(z).max(axis=1) < LOST)  # true of what is not a number, too
         shift = np.maximum(shift, np.where(lost, LOST, np.linalg.norm(z[:, m + 3 :], axis=1)))
         turn = np.maximum(turn, np.where(lost, LOST, np.linalg.norm(z[:, m : m + 3], axis=1)))
-        z[lost], v[lost], normal[lost], slid[lost] = 0.0, 0.0, 0.0, 0.0
-    forces = np.concatenate([c[:, :, None] * slid, normal[:, :, None]], axis=2)
+        z[lost], v[lost], u[lost], normal[lost], slid[lost] = 0.0, 0.0, 0.0, 0.0, 0.0
+    forces = np.concatenate([c[:, :, None] * slid.reshape(k, nc, 2), normal[:, :, None]], axis=2)
     return PushedMotion(np.minimum(shift, LOST), np.minimum(turn, LOST), forces)
 
 

@@ -38,6 +38,7 @@ References:
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,7 +88,7 @@ class GraspStiffness:
     turning: Array
     R_WCs: Array
 
-    @property
+    @cached_property
     def elastic(self) -> Array:
         """H without load [N m/rad ...], shape (m + 6, m + 6)."""
         m = len(self.kp)
