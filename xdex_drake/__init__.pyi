@@ -100,11 +100,14 @@ from .simulation.protocol import (
 )
 from .simulation.robust import RobustLift as RobustLift
 from .simulation.robust import robust_lift as robust_lift
+from .visualization.dress import dress as dress
+from .visualization.film import film_lift as film_lift
 from .visualization.hand_browser import browser_page as browser_page
 from .visualization.hand_sets import hands_sheet as hands_sheet
 from .visualization.import_page import import_page as import_page
 from .visualization.motion import motion_page as motion_page
 from .visualization.pictures import render_grasp as render_grasp
+from .visualization.replay import films_page as films_page
 from .visualization.replay import grasp_page as grasp_page
 from .visualization.replay import replay_lift as replay_lift
 from .visualization.replay import view_live as view_live

@@ -12,6 +12,7 @@ from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.jobs.hands import hand_row
 from xdex_drake.visualization.hand_browser import browser_page
 from xdex_drake.visualization.hand_sets import hands_sheet, statistics_figure
+from xdex_drake.visualization.page import unfold
 from xdex_drake.visualization.pictures import can_render
 
 
@@ -40,8 +41,9 @@ def test_a_page_holds_every_joint() -> None:
     hands[1] = dataclasses.replace(hands[1], display_name="</script><b>Ability</b>")
     page = browser_page(hands, title="<Two> hands")
     assert "<title>&lt;Two&gt; hands</title>" in page
-    assert "</script><b>" not in page
-    found = re.search(r"const hands = (\[.*?\]);\n", page)
+    scripts = "".join(data.decode() for kind, data in unfold(page) if kind == "script")
+    assert "</script><b>" not in page + scripts
+    found = re.search(r"const hands = (\[.*?\]);\n", scripts)
     assert found is not None
     facts = json.loads(found[1].replace("<\\/", "</"))
     assert [fact["name"] for fact in facts] == ["inspire", "ability"]

@@ -11,7 +11,7 @@ from tests.visualization.test_replay import animation_of
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.visualization.motion import MOST_FRAMES, motion_page
-from xdex_drake.visualization.replay import PAUSE_FRAMES
+from xdex_drake.visualization.stage import PAUSE_FRAMES
 
 
 def _position(animation, path, time):

@@ -13,9 +13,7 @@ from xdex_drake.cli.output import check_output_file, facts, table
 from xdex_drake.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat, SceneGraph
-    from pydrake.multibody.plant import MultibodyPlant
-    from pydrake.systems.framework import DiagramBuilder
+    from pydrake.geometry import Meshcat
 
     from xdex_drake.arrays import Array
     from xdex_drake.hand.description import Hand
@@ -113,17 +111,18 @@ class HandView:
             check_output_file(self.html, ".html")
         from xdex_drake.cli.show import wait_for_enter
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.visualization.replay import start_meshcat
+        from xdex_drake.visualization.hand_browser import browser_page
+        from xdex_drake.visualization.stage import start_meshcat
         from xdex_drake.whole_file import write_text
 
         hand = load_hand(self.hand)
-        meshcat = start_meshcat(live=self.html is None)
+        if self.html is not None:
+            write_text(self.html, browser_page([hand], title=hand.display_name))
+            print(f"{hand.name}: {self.html}")
+            return 0
+        meshcat = start_meshcat()
         _draw_hand(meshcat, hand)
-        if self.html is None:
-            return wait_for_enter(meshcat.web_url())
-        write_text(self.html, meshcat.StaticHtml())
-        print(f"{hand.name}: {self.html}")
-        return 0
+        return wait_for_enter(meshcat.web_url())
 
 
 @dataclass(frozen=True)
@@ -294,17 +293,13 @@ class HandMirror:
 
 def _draw_hand(meshcat: Meshcat, hand: Hand) -> None:
     """Draws a hand at rest, its wrist at the origin."""
-    from pydrake.geometry import MeshcatVisualizer
-    from pydrake.math import RigidTransform
+    from pydrake.math import RigidTransform, RotationMatrix
 
-    from xdex_drake.scene.plant import build_plant
+    from xdex_drake.hand.kinematics import forward_kinematics
+    from xdex_drake.visualization.stage import draw_hand
 
-    def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-        MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
-
-    scene_plant = build_plant(hand, extend=extend)
-    context = scene_plant.diagram.CreateDefaultContext()
-    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(context)
-    scene_plant.set_joints(plant_context, hand.q_rest)
-    scene_plant.set_wrist(plant_context, RigidTransform())
-    scene_plant.diagram.ForcedPublish(context)
+    names = [link.name for link in hand.links]
+    draw_hand(meshcat, "/drake/hand", hand, names)
+    R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), hand.q_rest[None])
+    for name, R, p in zip(names, R_HLs[0], p_HLs[0], strict=True):
+        meshcat.SetTransform(f"/drake/hand/{name}", RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p))

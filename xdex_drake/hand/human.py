@@ -268,7 +268,7 @@ def human_hand(shape: HumanShape = MEAN_SHAPE, *, name: str = "human") -> Hand:
         p_HB=np.zeros(3),
         R_HB=np.eye(3),
         q_rest=rest,
-        sources=dict(SOURCES),
+        sources={"base": "human", **SOURCES},
     )
 
 

@@ -34,6 +34,7 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Box, Capsule, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.looks import link_colors
 
 JOINT_DAMPING = 0.01
 """Viscous damping of every joint [N m s/rad or N s/m]."""
@@ -46,18 +47,6 @@ FACET_RAD = np.pi / 18.0
 
 ShapeOf = Callable[[Geometry, str], tuple[Shape, RigidTransform]]
 """What a primitive in L becomes in Drake, with a label for messages: a shape in its own frame G, and X_LG."""
-
-FINGER_COLORS = {
-    "thumb": (0.84, 0.42, 0.30),
-    "index": (0.30, 0.53, 0.78),
-    "middle": (0.36, 0.66, 0.47),
-    "ring": (0.90, 0.70, 0.30),
-    "little": (0.60, 0.45, 0.72),
-}
-"""Color (red, green, blue) of each finger's links."""
-
-OTHER_FINGER_COLOR = (0.45, 0.65, 0.68)
-PALM_COLOR = (0.45, 0.47, 0.52)
 
 
 def add_hand(
@@ -194,17 +183,6 @@ def _proximity_properties(friction: float, point_stiffness: float | None) -> Pro
         properties=properties,
     )
     return properties
-
-
-def link_colors(hand: Hand) -> list[Array]:
-    """Color of each link (red, green, blue, opacity), shape (4,): a finger's color lightens toward its tip."""
-    colors = {}
-    for finger in hand.fingers:
-        base = np.array(FINGER_COLORS.get(finger.name, OTHER_FINGER_COLOR))
-        for k, name in enumerate(finger.links):
-            s = 0.35 * (k + 1) / len(finger.links)
-            colors[name] = (1.0 - s) * base + s
-    return [np.array([*colors.get(link.name, PALM_COLOR), 1.0]) for link in hand.links]
 
 
 def _add_geometry(

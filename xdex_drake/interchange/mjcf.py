@@ -20,9 +20,11 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.arrays import Array
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Hand, Joint, Link, Sphere
-from xdex_drake.hand.plant import JOINT_DAMPING, link_colors
+from xdex_drake.hand.looks import link_colors
+from xdex_drake.hand.plant import JOINT_DAMPING
 from xdex_drake.interchange.parts import ModelFile, file_name, hull_obj, marked_frames, number, numbers
-from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR, visual_obj
+from xdex_drake.scene.bodies import TABLE_COLOR, visual_obj
+from xdex_drake.scene.materials import object_color
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.plant import CARRIAGE_MASS, CARRIAGE_RADIUS, PlantSettings
 from xdex_drake.scene.tabletop import Scene
@@ -270,7 +272,12 @@ class _Model:
             SubElement(body, "geom", {"name": f"{name}_part_{k}", "mesh": mesh})
         # Only to be seen: its volume, zero where the mesh is open, counts for nothing.
         mesh = self.add_mesh(label, visual_obj(thing), inertia="shell")
-        looks = {"group": "2", "contype": "0", "conaffinity": "0", "rgba": numbers(np.array(OBJECT_COLOR))}
+        looks = {
+            "group": "2",
+            "contype": "0",
+            "conaffinity": "0",
+            "rgba": numbers(np.array([*object_color(thing.name), 1.0])),
+        }
         SubElement(body, "geom", {"name": f"{name}_mesh", "mesh": mesh, **looks})
 
     def add_keyframes(self, hand: Hand, X_WO: RigidTransform, keyframes: Sequence[KeyFrame]) -> None:

@@ -29,6 +29,7 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody, RotationalInertia, SpatialInertia
 
 from xdex_drake.scene.hulls import convex_hull, grow
+from xdex_drake.scene.materials import object_color
 from xdex_drake.scene.object import Array, ObjectModel
 
 POINT_STIFFNESS = 1e5
@@ -45,7 +46,6 @@ RESTING_FEET = 12
 """Greatest number of feet on the table."""
 
 TABLE_SIZE = (2.0, 2.0, 0.2)
-OBJECT_COLOR = (0.85, 0.62, 0.35, 1.0)
 TABLE_COLOR = (0.55, 0.57, 0.6, 1.0)
 
 
@@ -134,7 +134,8 @@ def add_object(
         plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"{name}_part_{k}", material)
     for k, p_OF in enumerate(feet(object, X_WO)):
         plant.RegisterCollisionGeometry(body, RigidTransform(p_OF), Sphere(FOOT_RADIUS), f"{name}_foot_{k}", material)
-    plant.RegisterVisualGeometry(body, RigidTransform(), visual_mesh(object), f"{name}_mesh", OBJECT_COLOR)
+    color = (*object_color(object.name), 1.0)
+    plant.RegisterVisualGeometry(body, RigidTransform(), visual_mesh(object), f"{name}_mesh", color)
     return body
 
 

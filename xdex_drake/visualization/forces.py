@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import ContactResults, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import Context
 
 from xdex_drake.arrays import Array
+from xdex_drake.visualization.film import Push
+from xdex_drake.visualization.page import Legend
 
 NEWTONS_PER_METER = 50.0
 """Force that an arrow of one metre stands for [N/m]."""
 
 FORCE_COLOR = (0.85, 0.10, 0.35)
-HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS = 0.012, 0.0055, 0.0022
-LEAST_FORCE = 0.02
-"""Weaker forces are not drawn [N]."""
+HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS = 0.013, 0.006, 0.0022
 
 
 def add_arrow(meshcat: Meshcat, path: str, color: tuple[float, float, float] = FORCE_COLOR) -> None:
@@ -36,6 +33,10 @@ def add_arrow(meshcat: Meshcat, path: str, color: tuple[float, float, float] = F
     meshcat.SetObject(f"{path}/shaft/rod", Cylinder(SHAFT_RADIUS, 1.0), Rgba(*color))
     meshcat.SetTransform(f"{path}/shaft/rod", RigidTransform([0.0, 0.0, 0.5]))
     meshcat.SetTransform(f"{path}/shaft", RigidTransform([0.0, 0.0, HEAD_LENGTH]))
+    # The point of a contact lies between finger and object: an arrow is seen through both.
+    for part in ("head", "shaft/rod"):
+        for name, value in (("depthTest", False), ("transparent", True)):
+            meshcat.SetProperty(f"{path}/{part}/<object>", f"material.{name}", value)
 
 
 def arrow_placement(p_WTip: Array, f_W: Array) -> tuple[RigidTransform, list[float]]:
@@ -68,64 +69,39 @@ def place_arrow(meshcat: Meshcat, path: str, p_WTip: Array, f_W: Array, time: fl
     meshcat.SetProperty(f"{path}/shaft", "scale", scale, time)
 
 
-class HandForces:
-    """Draws the forces by which a hand pushes on object and table, one arrow a contact.
+def play_pushes(
+    meshcat: Meshcat,
+    animation: MeshcatAnimation,
+    path: str,
+    pushes: Mapping[int, Sequence[Push]],
+) -> None:
+    """Adds the forces of a recorded lift to an animation, one arrow a contact.
 
-    Drake's ContactVisualizer would draw the object's weight on the table as well, and ends the track of an arrow that
-    vanishes early, so that a recording in a loop falls out of step. It is no system of the diagram either: a system
-    written in Python keeps its diagram, and Meshcat's port with it, from ever being freed.
+    Args:
+        meshcat: Where arrows are drawn.
+        animation: Grows by their tracks, which all end together: otherwise a recording in a loop falls out of step.
+        path: Path under which arrows are drawn.
+        pushes: The forces at each frame of the animation.
     """
-
-    def __init__(self, meshcat: Meshcat, plant: MultibodyPlant, hand: ModelInstanceIndex, path: str) -> None:
-        """Prepares to draw.
-
-        Args:
-            meshcat: Where to draw.
-            plant: The plant.
-            hand: The hand's model instance.
-            path: Path under which arrows are drawn.
-        """
-        self._meshcat, self._plant, self._path = meshcat, plant, path
-        self._names = {body: plant.get_body(body).name() for body in plant.GetBodyIndices(hand)}
-        self._last: dict[str, tuple[Array, Array]] = {}
-
-    def publish(self, context: Context, time: float) -> None:
-        """Shows the forces of a moment.
-
-        Args:
-            context: Context of the plant.
-            time: Time in the recording [s].
-        """
-        results = cast(ContactResults, self._plant.get_contact_results_output_port().Eval(context))
+    shown: dict[str, dict[int, Push]] = {}
+    for moment, now in pushes.items():
         count: dict[str, int] = {}
-        active: dict[str, tuple[Array, Array]] = {}
-        for k in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(k)
-            a, b, force = info.bodyA_index(), info.bodyB_index(), np.array(info.contact_force())
-            if (a in self._names) == (b in self._names) or np.linalg.norm(force) < LEAST_FORCE:
-                continue
-            # The force that Drake reports acts on B.
-            link, force = (self._names[a], force) if a in self._names else (self._names[b], -force)
-            count[link] = count.get(link, 0) + 1
-            active[f"{self._path}/{link}/{count[link]}"] = (np.array(info.contact_point()), force)
-        for path in active:
-            if path not in self._last:
-                add_arrow(self._meshcat, path)
-                self._meshcat.SetProperty(path, "visible", False, 0.0)
-        self._last |= active
-        for path in self._last:
-            self._meshcat.SetProperty(path, "visible", path in active, time)
-            if path in active:
-                place_arrow(self._meshcat, path, *active[path], time)
+        for push in now:
+            count[push.link] = count.get(push.link, 0) + 1
+            shown.setdefault(f"{path}/{push.link}/{count[push.link]}", {})[moment] = push
+    for arrow, by_moment in shown.items():
+        add_arrow(meshcat, arrow)
+        meshcat.SetProperty(arrow, "visible", False)
+        held = next(iter(by_moment.values()))
+        for moment in pushes:
+            held = by_moment.get(moment, held)
+            X_WA, scale = arrow_placement(held.p_WC, held.f_W)
+            animation.SetProperty(moment, arrow, "visible", moment in by_moment)
+            animation.SetTransform(moment, arrow, X_WA)
+            animation.SetProperty(moment, f"{arrow}/shaft", "scale", scale)
 
-    def hold(self, animation: MeshcatAnimation, frame: int) -> None:
-        """Extends every arrow's tracks to a frame, so that all tracks of a recording end together.
 
-        Args:
-            animation: The recording.
-            frame: The frame.
-        """
-        for path, (p_WTip, f_W) in self._last.items():
-            X_WA, scale = arrow_placement(p_WTip, f_W)
-            animation.SetTransform(frame, path, X_WA)
-            animation.SetProperty(frame, f"{path}/shaft", "scale", scale)
+def force_legend(most_force: float) -> Legend:
+    """The line of a legend that says what an arrow's length means."""
+    text = f"force of the hand: {1000.0 / NEWTONS_PER_METER:.0f} mm are 1 N"
+    return Legend("arrow", FORCE_COLOR, f"{text}; at most {most_force:.1f} N" if most_force > 0.0 else text)

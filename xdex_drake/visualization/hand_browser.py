@@ -7,20 +7,19 @@ from __future__ import annotations
 
 import gc
 import html
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import Meshcat, Rgba
+from pydrake.geometry import Meshcat
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.checks import hand_size
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.plant import drake_shape, link_colors
-from xdex_drake.visualization.pictures import FOV_Y
-from xdex_drake.visualization.replay import start_meshcat
+from xdex_drake.visualization.dress import detail_for
+from xdex_drake.visualization.page import FOV_Y, Trimmings, script_data, write_page
+from xdex_drake.visualization.stage import draw_hand, link_labels, start_meshcat, touch_switch
 
 MOST_HANDS = 100
 """A page of more hands than this grows too large for a browser."""
@@ -29,7 +28,12 @@ _PATH = "/drake/hands"
 
 
 def browser_page(
-    hands: Sequence[Hand], *, title: str = "Hands", extend: Callable[[Meshcat, str, Hand], None] | None = None
+    hands: Sequence[Hand],
+    *,
+    title: str = "Hands",
+    extend: Callable[[Meshcat, str, Hand], None] | None = None,
+    switches: Mapping[str, Sequence[str]] | None = None,
+    more: str = "",
 ) -> str:
     """A page that shows one hand at a time, chosen from a list, with sliders for its actuated joints.
 
@@ -38,6 +42,8 @@ def browser_page(
         title: Title of the page.
         extend: Draws more of a hand; it gets Meshcat, the hand's path, below which `PATH/k` moves with link k, and the
             hand.
+        switches: More paths that a checkbox shows and hides, by its label; see `page.Trimmings`.
+        more: HTML that follows.
 
     Returns:
         HTML that needs no other file and no network.
@@ -47,19 +53,32 @@ def browser_page(
     """
     if not 1 <= len(hands) <= MOST_HANDS:
         raise ConfigError(f"a page shows 1 to {MOST_HANDS} hands, not {len(hands)}; choose some of them")
+    drawn = [(f"{_PATH}/{k}", hand, [str(n) for n in range(len(hand.links))]) for k, hand in enumerate(hands)]
+    controls = _CONTROLS.replace("@TITLE@", html.escape(title)).replace("@PATH@", _PATH)
+    controls = controls.replace("@HANDS@", script_data([_facts(hand) for hand in hands]))
     meshcat = start_meshcat(live=False)
     try:
-        for k, hand in enumerate(hands):
-            draw_links(meshcat, f"{_PATH}/{k}", hand)
+        for path, hand, names in drawn:
+            # Poses of links are left to the page, whose commands may come before Meshcat's own.
+            draw_hand(meshcat, path, hand, names, detail_for(len(hands)))
             if extend is not None:
-                extend(meshcat, f"{_PATH}/{k}", hand)
+                extend(meshcat, path, hand)
         _aim(meshcat, max(hand_size(hand) for hand in hands))
-        page = meshcat.StaticHtml()
+        page = write_page(
+            meshcat,
+            Trimmings(
+                title,
+                names={path: label for each in drawn for path, label in link_labels(*each).items()},
+                switches=touch_switch(drawn) | dict(switches or {}),
+                more=controls + more,
+                card=False,
+            ),
+        )
     finally:
         # Its port is to be free again now.
         del meshcat
         gc.collect()
-    return _with_controls(page, [_facts(hand) for hand in hands], title)
+    return page
 
 
 def _aim(meshcat: Meshcat, size: float) -> None:
@@ -69,16 +88,6 @@ def _aim(meshcat: Meshcat, size: float) -> None:
     target = np.array([0.0, 0.0, 0.5 * size]) - 0.22 * size * right
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=float(np.degrees(FOV_Y)), aspect=1.5, near=0.01, far=20.0))
     meshcat.SetCameraPose(target + 2.3 * size * toward, target)
-
-
-def draw_links(meshcat: Meshcat, path: str, hand: Hand) -> None:
-    """Draws each link k of a hand below `PATH/k`, in its own frame; where links are is left to the page."""
-    for k, (link, color) in enumerate(zip(hand.links, link_colors(hand), strict=True)):
-        for n, primitive in enumerate(link.geometry):
-            shape, X_LG = drake_shape(primitive, f"{link.name}_{n}")
-            meshcat.SetObject(f"{path}/{k}/{n}", shape, Rgba(*color))
-            meshcat.SetTransform(f"{path}/{k}/{n}", X_LG)
-    # Poses of links are left to the page, whose commands may come before Meshcat's own.
 
 
 def _facts(hand: Hand) -> dict[str, Any]:
@@ -118,18 +127,6 @@ def _facts(hand: Hand) -> dict[str, Any]:
         "high": row(hand.limits[1]),
         "rest": row(hand.q_rest),
     }
-
-
-def _with_controls(page: str, hands: list[dict[str, Any]], title: str) -> str:
-    head, body, tail = page.rpartition("</body>")
-    if not body:
-        raise RuntimeError("Meshcat's page has no </body>")
-    head = head.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
-    head = head.replace("<head>", '<head>\n  <meta name="viewport" content="width=device-width, initial-scale=1">', 1)
-    # What could end the script early is written another way.
-    data = json.dumps(hands, separators=(",", ":")).replace("</", "<\\/").replace("<!--", "<\\u0021--")
-    controls = _CONTROLS.replace("@TITLE@", html.escape(title)).replace("@PATH@", _PATH).replace("@HANDS@", data)
-    return head + controls + body + tail
 
 
 _CONTROLS = """

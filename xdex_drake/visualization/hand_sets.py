@@ -18,6 +18,7 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import build_plant
+from xdex_drake.visualization.dress import dress
 from xdex_drake.visualization.pictures import (
     FOV_Y,
     Image,
@@ -63,6 +64,7 @@ def hand_picture(
 
     def add(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         add_renderer(scene_graph, shadows=False)
+        dress(plant, scene_graph, hand)
 
     q = hand.q_rest if q is None else q
     scene_plant = build_plant(hand, extend=add)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import html
-import json
 
 import numpy as np
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.interpret import Imported
+from xdex_drake.hand.yaml_file import hand_text
 from xdex_drake.visualization.hand_browser import browser_page
+from xdex_drake.visualization.page import script_data
 
-AXIS_LENGTH = 0.06
+AXIS_LENGTH = 0.09
 PAD_LENGTH = 0.02
 SPHERE_COLOR = Rgba(0.16, 0.47, 0.84, 0.35)
 TIP_COLOR = Rgba(0.85, 0.10, 0.10, 1.0)
@@ -24,8 +25,8 @@ PAD_COLOR = Rgba(0.10, 0.10, 0.10, 1.0)
 def import_page(imported: Imported) -> str:
     """A page with the hand, a slider for every joint, and what the importer decided.
 
-    Fingers are colored by their names. Switches show the wrist frame H (x red out of the palm, y green, z blue along
-    the fingers), the fingertips with the direction of their pads, the collision spheres, and the shapes.
+    Switches show the wrist frame H (x red out of the palm, y green, z blue along the fingers), the fingertips with the
+    direction of their pads, the collision spheres, and the collision shapes. A button saves the description.
 
     Args:
         imported: The hand and the decisions.
@@ -36,34 +37,43 @@ def import_page(imported: Imported) -> str:
     Raises:
         ConfigError: Meshcat finds no free port.
     """
-    paths: dict[str, list[str]] = {"frame": [], "tips": [], "spheres": [], "shapes": []}
+    frame, tips, spheres = "wrist frame H", "tips and pads", "-collision spheres"
+    paths: dict[str, list[str]] = {frame: [], tips: [], spheres: []}
 
     def extend(meshcat: Meshcat, path: str, hand: Hand) -> None:
         _draw_frame(meshcat, f"{path}/wrist_frame")
-        paths["frame"].append(f"{path}/wrist_frame")
+        paths[frame].append(f"{path}/wrist_frame")
         for k, link in enumerate(hand.links):
             for n, row in enumerate(link.spheres):
                 meshcat.SetObject(f"{path}/{k}/spheres/{n}", Sphere(row[3]), SPHERE_COLOR)
                 meshcat.SetTransform(f"{path}/{k}/spheres/{n}", RigidTransform(row[:3]))
             if len(link.spheres):
                 meshcat.SetProperty(f"{path}/{k}/spheres", "visible", False)
-                paths["spheres"].append(f"{path}/{k}/spheres")
-            paths["shapes"] += [f"{path}/{k}/{n}" for n in range(len(link.geometry))]
+                paths[spheres].append(f"{path}/{k}/spheres")
         for finger in hand.fingers:
             mark = f"{path}/{hand.link_index[finger.tip_link]}/tip_{finger.name}"
             meshcat.SetObject(f"{mark}/point", Sphere(2.5e-3), TIP_COLOR)
             meshcat.SetTransform(f"{mark}/point", RigidTransform(finger.p_LTip))
             _draw_rod(meshcat, f"{mark}/pad", finger.p_LTip, finger.n_LPad, PAD_LENGTH, 8e-4, PAD_COLOR)
-            paths["tips"].append(mark)
+            paths[tips].append(mark)
 
-    page = browser_page([imported.hand], title=f"Import of {imported.hand.name}", extend=extend)
-    head, body, tail = page.rpartition("</body>")
-    return head + _panel(imported, paths) + body + tail
+    return browser_page(
+        [imported.hand], title=f"Import of {imported.hand.name}", extend=extend, switches=paths, more=_panel(imported)
+    )
 
 
 def _draw_frame(meshcat: Meshcat, path: str) -> None:
     for k, color in enumerate((Rgba(0.85, 0.1, 0.1, 1.0), Rgba(0.1, 0.6, 0.1, 1.0), Rgba(0.1, 0.2, 0.85, 1.0))):
-        _draw_rod(meshcat, f"{path}/{'xyz'[k]}", np.zeros(3), np.eye(3)[k], AXIS_LENGTH, 1.2e-3, color)
+        axis = np.eye(3)[k]
+        _draw_rod(meshcat, f"{path}/{'xyz'[k]}", np.zeros(3), axis, AXIS_LENGTH, 1.5e-3, color)
+        # A cone of Meshcat has its apex at its origin and opens along +z.
+        meshcat.SetObject(f"{path}/{'xyz'[k]}_head", MeshcatCone(0.012, 0.004, 0.004), color)
+        X_HC = RigidTransform(RotationMatrix.MakeFromOneVector(-axis, 2), (AXIS_LENGTH + 0.012) * axis)
+        meshcat.SetTransform(f"{path}/{'xyz'[k]}_head", X_HC)
+    # Seen through the palm, in which it begins.
+    for name in ("x", "x_head", "y", "y_head", "z", "z_head"):
+        meshcat.SetProperty(f"{path}/{name}/<object>", "material.depthTest", False)
+        meshcat.SetProperty(f"{path}/{name}/<object>", "material.transparent", True)
 
 
 def _draw_rod(
@@ -74,7 +84,7 @@ def _draw_rod(
     meshcat.SetTransform(path, RigidTransform(R, start + 0.5 * length * np.asarray(direction)))
 
 
-def _panel(imported: Imported, paths: dict[str, list[str]]) -> str:
+def _panel(imported: Imported) -> str:
     order = {"warning": 0, "mended": 1, "decided": 2}
     decisions = sorted(imported.decisions, key=lambda d: order.get(d.severity, 3))
     items = "".join(
@@ -82,13 +92,8 @@ def _panel(imported: Imported, paths: dict[str, list[str]]) -> str:
         f"{html.escape(d.text)}</li>"
         for d in decisions
     )
-    names = {"frame": "wrist frame H", "tips": "tips and pads", "spheres": "collision spheres", "shapes": "shapes"}
-    switches = "".join(
-        f'<label><input type="checkbox" data-group="{group}"{"" if group == "spheres" else " checked"}> {name}</label>'
-        for group, name in names.items()
-    )
-    data = json.dumps(paths, separators=(",", ":")).replace("</", "<\\/").replace("<!--", "<\\u0021--")
-    return _PANEL.replace("@SWITCHES@", switches).replace("@ITEMS@", items).replace("@PATHS@", data)
+    data = script_data({"file": f"{imported.hand.name}.yaml", "text": hand_text(imported.hand)})
+    return _PANEL.replace("@ITEMS@", items).replace("@DATA@", data)
 
 
 _PANEL = """
@@ -97,28 +102,39 @@ _PANEL = """
   box-sizing: border-box; overflow-y: auto; padding: 12px 14px; border-radius: 8px;
   background: rgba(255, 255, 255, 0.9);
   color: #1d2430; font: 13px/1.4 system-ui, sans-serif; box-shadow: 0 1px 4px rgba(0, 0, 0, 0.2); }
-#xdex-import h2 { font-size: 14px; margin: 0 0 6px; }
-#xdex-import label { display: inline-block; margin-right: 10px; }
+#xdex-import h2 { display: inline; font-size: 14px; margin: 0 0 6px; }
+#xdex-import summary { cursor: pointer; }
+#xdex-import p { margin: 8px 0 0; }
+#xdex-import button { font: inherit; padding: 3px 8px; border: 1px solid #b9c1cc; border-radius: 5px; background: #fff;
+  color: inherit; }
+#xdex-import .axes b { padding: 0 4px; }
 #xdex-import ul { list-style: none; margin: 8px 0 0; padding: 0; }
 #xdex-import li { margin-bottom: 6px; overflow-wrap: anywhere; }
 #xdex-import li.warning b { color: #b3261e; }
 #xdex-import li.mended b { color: #8a5a00; }
 #xdex-import li.decided b { color: #2f6b3a; }
+@media (max-width: 720px) { #xdex-import { top: auto; bottom: 12px; left: 12px; right: 12px; width: auto;
+  max-height: 38vh; } }
 </style>
 <div id="xdex-import">
-  <h2>What was decided</h2>
-  <div>@SWITCHES@</div>
-  <ul>@ITEMS@</ul>
+  <details open><summary><h2>What was decided</h2></summary>
+  <p class="axes">Wrist frame H: <b style="color:#d91a1a">x</b>out of the palm, <b style="color:#1a991a">y</b>to the
+  thumb's side of a right hand, <b style="color:#1a33d9">z</b>toward the fingers.</p>
+  <p><button type="button" id="xdex-yaml">Download the description</button></p>
+  <ul>@ITEMS@</ul></details>
 </div>
 <script>
 (function () {
   "use strict";
-  const paths = @PATHS@;
-  document.querySelectorAll("#xdex-import input").forEach(box => box.addEventListener("change", () => {
-    for (const path of paths[box.dataset.group])
-      viewer.handle_command({type: "set_property", path: path, property: "visible", value: box.checked});
-    viewer.set_dirty();
-  }));
+  const data = @DATA@;
+  document.getElementById("xdex-yaml").addEventListener("click", () => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([data.text], {type: "application/yaml"}));
+    link.download = data.file;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1500);
+  });
+  if (window.innerWidth < 720) document.querySelector("#xdex-import details").open = false;
 })();
 </script>
 """

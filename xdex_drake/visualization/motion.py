@@ -13,8 +13,16 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.visualization.hand_browser import draw_links
-from xdex_drake.visualization.replay import ASPECT, FOV_Y, PAUSE_FRAMES, REPETITIONS, aim, start_meshcat, with_card
+from xdex_drake.visualization.page import ASPECT, FOV_Y, Legend, Trimmings, write_page
+from xdex_drake.visualization.stage import (
+    PAUSE_FRAMES,
+    REPETITIONS,
+    aim,
+    draw_hand,
+    link_labels,
+    start_meshcat,
+    touch_switch,
+)
 from xdex_drake.visualization.views import Blobs, frame_blobs
 
 POINT_COLOR, POINT_RADIUS = (0.90, 0.35, 0.10, 1.0), 0.005
@@ -59,7 +67,8 @@ def motion_page(
     R_WLs, p_WLs = R_WH[:, None] @ R_HLs, (R_WH[:, None] @ p_HLs[..., None])[..., 0] + p_WH[:, None]
     meshcat = start_meshcat(live=False)
     try:
-        draw_links(meshcat, "/drake/hand", hand)
+        drawn = ("/drake/hand", hand, [str(k) for k in range(len(hand.links))])
+        draw_hand(meshcat, *drawn)
         animation = MeshcatAnimation(frames_per_second)
         # The end stands still for a moment.
         moments = [*range(len(qs)), len(qs) - 1 + PAUSE_FRAMES]
@@ -76,7 +85,15 @@ def motion_page(
         meshcat.SetAnimation(animation)
         seen = _seen(hand, R_WLs, p_WLs)
         aim(meshcat, frame_blobs(seen, _direction(R_WH), fov_y=FOV_Y, aspect=ASPECT), seen.centers_W.mean(axis=0))
-        page = with_card(meshcat.StaticHtml(), title or hand.display_name, "", rows)
+        legend = [] if points is None else [Legend("ball", POINT_COLOR, "key points of a person's hand")]
+        trimmings = Trimmings(
+            title or hand.display_name,
+            rows=rows,
+            legend=legend,
+            names=link_labels(*drawn),
+            switches=touch_switch([drawn]) | ({} if points is None else {"key points": ["/drake/points"]}),
+        )
+        page = write_page(meshcat, trimmings)
     finally:
         # Its port is to be free again now.
         del meshcat

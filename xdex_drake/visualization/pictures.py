@@ -35,6 +35,7 @@ from xdex_drake.scene.belonging import check_belonging
 from xdex_drake.scene.camera import survives
 from xdex_drake.scene.plant import ScenePlant, build_plant
 from xdex_drake.scene.tabletop import Scene
+from xdex_drake.visualization.dress import dress
 from xdex_drake.visualization.views import best_view
 
 Image = NDArray[np.uint8]
@@ -179,6 +180,7 @@ def make_studio(
 
     def add(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
         add_renderer(scene_graph)
+        dress(plant, scene_graph, hand)
         if extend is not None:
             extend(builder, plant, scene_graph)
 

@@ -3,61 +3,41 @@
 from __future__ import annotations
 
 import gc
-import html
-import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import (
-    Box,
-    Meshcat,
-    MeshcatAnimation,
-    MeshcatCone,
-    MeshcatParams,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    Rgba,
-    SceneGraph,
-    Sphere,
-)
+from pydrake.geometry import Meshcat, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
 from xdex_drake.arrays import Array
 from xdex_drake.contact.cones import contact_frames
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
+from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.hand.looks import FINE, Detail
 from xdex_drake.scene.belonging import check_belonging, check_liftable
-from xdex_drake.scene.bodies import OBJECT_COLOR, TABLE_COLOR
-from xdex_drake.scene.plant import build_plant
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.drake import lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
-from xdex_drake.visualization.forces import FORCE_COLOR, HandForces, add_arrow, place_arrow
+from xdex_drake.visualization.dress import detail_for
+from xdex_drake.visualization.film import FRAMES_PER_SECOND, Film, film_lift
+from xdex_drake.visualization.forces import FORCE_COLOR, add_arrow, force_legend, place_arrow
+from xdex_drake.visualization.page import ASPECT, FOV_Y, Legend, Trimmings, write_page
+from xdex_drake.visualization.stage import (
+    aim,
+    draw_hand,
+    draw_object,
+    draw_table,
+    link_labels,
+    play_films,
+    start_meshcat,
+    touch_switch,
+)
 from xdex_drake.visualization.views import Blobs, best_direction, best_view, frame_blobs, grasp_blobs
 
-FRAMES_PER_SECOND = 32.0
-"""A power of two, whose multiples of the period are exact: no frame is rounded into its neighbour's place."""
-
-PAUSE_FRAMES = 20
-"""Frames for which the end of a lift stands still before it starts again."""
-
-FOV_Y = 0.7
-"""Vertical field of view of the camera [rad]."""
-
-ASPECT = 1.3
-"""Least width of a window divided by its height that keeps this field of view."""
-
-REPLAY_CPU_LIMIT_S = 300.0
-"""A recorded lift is never given up where the lift itself was not [s]."""
-
-REPETITIONS = 10_000
-"""How often a page plays its lift by itself."""
-
-CONE_COLOR = (0.20, 0.48, 0.95, 1.0)
+CONE_COLOR = (0.20, 0.48, 0.95)
+CONE_OPACITY = 0.55
 CONE_HEIGHT = 0.02
 """Height of a friction cone [m]."""
 
@@ -69,8 +49,6 @@ GAP = 0.36
 
 ROWS_ELEVATION = 0.6
 """Elevation from which several rows of grasps are seen [rad]."""
-
-GRID_COLOR = (0.44, 0.46, 0.50)
 
 
 @dataclass(frozen=True)
@@ -88,102 +66,6 @@ class Replay:
     frames: int
 
 
-def start_meshcat(port: int | None = None, *, live: bool = True) -> Meshcat:
-    """Starts Meshcat for this computer only, with a light background and without grid and axes.
-
-    Args:
-        port: Port to listen on; a free one from 7000 on where None.
-        live: Whether somebody will open its address, which Drake then logs; False where only a page is written.
-
-    Returns:
-        The Meshcat; its address is `web_url()`. Its port is freed with the object.
-
-    Raises:
-        ConfigError: The port, or every port, is taken.
-    """
-    log = logging.getLogger("drake")
-    level = log.level
-    try:
-        if not live:
-            log.setLevel(max(level, logging.WARNING))
-        meshcat = Meshcat(MeshcatParams(host="localhost", port=port, show_stats_plot=False))
-    except RuntimeError as error:
-        raise ConfigError(f"Meshcat cannot listen on port {port or '7000 to 7999'}: {error}; choose another") from None
-    finally:
-        log.setLevel(level)
-    meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.98])
-    meshcat.SetProperty("/Background", "bottom_color", [0.80, 0.83, 0.87])
-    meshcat.SetProperty("/Grid", "visible", False)
-    meshcat.SetProperty("/Axes", "visible", False)
-    return meshcat
-
-
-def aim(meshcat: Meshcat, X_WC: RigidTransform, p_WT: Array) -> None:
-    """Puts the camera at X_WC's position, orbiting about the point of its line of sight nearest to p_WT."""
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=float(np.degrees(FOV_Y)), aspect=1.5, near=0.01, far=20.0))
-    p_WC, forward = X_WC.translation(), X_WC.rotation().matrix()[:, 2]
-    meshcat.SetCameraPose(p_WC, p_WC + max(float((p_WT - p_WC) @ forward), 0.05) * forward)
-
-
-def _draw_grid(meshcat: Meshcat, center: Array, half: float = 0.5, step: float = 0.05) -> None:
-    """Lines on the table 5 cm apart, against which a rise can be seen."""
-    ticks = np.arange(-half, half + 0.5 * step, step)
-    starts = np.array([(x, -half, 0.0) for x in ticks] + [(-half, y, 0.0) for y in ticks])
-    ends = np.array([(x, half, 0.0) for x in ticks] + [(half, y, 0.0) for y in ticks])
-    # Just above the table.
-    shift = np.array([center[0], center[1], 3e-4])
-    meshcat.SetLineSegments("/drake/grid", (starts + shift).T, (ends + shift).T, 1.0, Rgba(*GRID_COLOR))
-
-
-def _record(meshcat: Meshcat, grasp: Grasp, hand: Hand, scene: Scene, protocol: LiftProtocol) -> tuple[Lift, int]:
-    """Simulates a lift and leaves its recording in Meshcat, published."""
-    period = 1.0 / FRAMES_PER_SECOND
-
-    def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-        MeshcatVisualizer.AddToBuilder(
-            builder, scene_graph, meshcat, MeshcatVisualizerParams(publish_period=period, prefix="scene")
-        )
-
-    patient = replace(protocol, cpu_limit_s=max(protocol.cpu_limit_s, REPLAY_CPU_LIMIT_S))
-    rig = lift_rig(hand, scene, protocol=patient, extend=extend)
-    plant, context = rig.scene_plant.plant, rig.simulator.get_context()
-    plant_context = plant.GetMyContextFromRoot(context)
-    forces = HandForces(meshcat, plant, rig.scene_plant.hand_instance, "/drake/forces")
-    frame = -1
-
-    def monitor(root: Context) -> EventStatus:
-        nonlocal frame
-        now = int(root.get_time() * FRAMES_PER_SECOND + 1e-6)
-        if now > frame:
-            frame = now
-            forces.publish(plant_context, root.get_time())
-        return EventStatus.DidNothing()
-
-    _draw_grid(meshcat, grasp.X_WO.translation())
-    meshcat.StartRecording(frames_per_second=FRAMES_PER_SECOND)
-    rig.simulator.set_monitor(monitor)
-    lift = simulate_lift(rig, grasp)
-    rig.simulator.clear_monitor()
-    # The end, which no periodic event sees: where the lift fails before its first step it is the only frame.
-    sound = lift.failure_reason != "simulation_failed"
-    if sound:
-        rig.scene_plant.diagram.ForcedPublish(context)
-    meshcat.StopRecording()
-    animation = meshcat.get_mutable_recording()
-    last = int(animation.frame(context.get_time()))
-    for body in [*rig.scene_plant.links, rig.scene_plant.object_body] if sound else []:
-        assert body is not None
-        # The path as the visualizer spells it: an absolute one would make a second track of the same body.
-        path = f"scene/{plant.GetModelInstanceName(body.model_instance())}/{body.name()}"
-        animation.SetTransform(last + PAUSE_FRAMES, path, plant.EvalBodyPoseInWorld(plant_context, body))
-    forces.hold(animation, last + PAUSE_FRAMES)
-    animation.set_autoplay(True)
-    animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
-    animation.set_repetitions(REPETITIONS)
-    meshcat.PublishRecording()
-    return lift, last + 1
-
-
 def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Replay:
     """Simulates a lift and records it as a page, failed ones too.
 
@@ -199,19 +81,73 @@ def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
     Raises:
         ConfigError: The grasp has no pre-grasp or no squeeze, or Meshcat finds no free port.
     """
-    check_belonging(grasp, hand, scene)
-    check_liftable(grasp)
+    film = film_lift(grasp, hand, scene, protocol=protocol)
+    return Replay(films_page([film], rise_m=protocol.rise_m), film.lift, len(film.frames))
+
+
+def films_page(films: Sequence[Film], *, title: str = "", rise_m: float = LIFT.rise_m) -> str:
+    """A page that plays recorded lifts side by side.
+
+    Args:
+        films: The lifts; at least one.
+        title: Title of the page; made from the lifts where empty.
+        rise_m: Height by which they rise, which stays in the picture [m].
+
+    Returns:
+        HTML that needs no other file and no network.
+
+    Raises:
+        ConfigError: There is no lift, or Meshcat finds no free port.
+    """
+    if not films:
+        raise ConfigError("there is no lift to show; give one")
     meshcat = start_meshcat(live=False)
     try:
-        lift, frames = _record(meshcat, grasp, hand, scene, protocol)
-        X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)
-        aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
-        page = with_card(meshcat.StaticHtml(), *_lift_card(grasp, hand, lift))
+        paths = _show_films(meshcat, films, rise_m)
+        hands = [
+            (f"{path}/{f.hand.name}", f.hand, [k.name for k in f.hand.links])
+            for path, f in zip(paths, films, strict=True)
+        ]
+        made_title, verdict, rows = _lift_card(films[0]) if len(films) == 1 else _lifts_card(films)
+        page = write_page(
+            meshcat,
+            Trimmings(
+                title or made_title,
+                verdict,
+                rows,
+                legend=[force_legend(max(film.most_force for film in films))],
+                names=_names(hands) | {f"{path}/object": f.grasp.object for path, f in zip(paths, films, strict=True)},
+                switches=touch_switch(hands) | {"forces": [f"{path}/forces" for path in paths]},
+            ),
+        )
     finally:
-        # The diagram that drew on Meshcat may be part of a reference cycle; its port is to be free again now.
+        # Its port is to be free again now.
         del meshcat
         gc.collect()
-    return Replay(page, lift, frames)
+    return page
+
+
+def _names(hands: Sequence[tuple[str, Hand, Sequence[str]]]) -> dict[str, str]:
+    return {path: label for hand in hands for path, label in link_labels(*hand).items()}
+
+
+def _show_films(meshcat: Meshcat, films: Sequence[Film], rise_m: float) -> list[str]:
+    """Draws and plays lifts side by side; returns their paths."""
+    paths = ["/drake/scene"] if len(films) == 1 else [f"/drake/scene_{k}" for k in range(len(films))]
+    grasps, hands, scenes = [f.grasp for f in films], [f.hand for f in films], [f.scene for f in films]
+    if len(films) == 1:
+        offsets = np.zeros((1, 3))
+        X_WC = best_view(grasps[0], hands[0], scenes[0], fov_y=FOV_Y, aspect=ASPECT, rise_m=rise_m)
+        center, half = grasps[0].X_WO.translation(), 0.5
+    else:
+        offsets, direction = _side_by_side(grasps, hands, scenes)
+        everything = _all_blobs(grasps, hands, scenes, offsets, rise_m)
+        X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.1)
+        center, half = _middle(everything)
+    draw_table(meshcat, center, half)
+    play_films(meshcat, paths, films, offsets, frames_per_second=FRAMES_PER_SECOND, detail=detail_for(len(films)))
+    aim(meshcat, X_WC, np.array([center[0], center[1], center[2] + 0.5 * rise_m]))
+    return paths
 
 
 def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> str:
@@ -247,6 +183,18 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
         )
     for grasp, hand, scene in zip(grasps, hands, scenes, strict=True):
         check_belonging(grasp, hand, scene)
+    offsets, direction = _side_by_side(grasps, hands, scenes)
+    for k, (grasp, hand, scene, offset) in enumerate(zip(grasps, hands, scenes, offsets, strict=True)):
+        _draw_grasp(meshcat, f"/drake/grasp_{k}", grasp, hand, scene, offset, detail_for(len(grasps)))
+    everything = _all_blobs(grasps, hands, scenes, offsets, 0.0)
+    center, half = _middle(everything)
+    draw_table(meshcat, center, half)
+    X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.3 if len(grasps) == 1 else 1.1)
+    aim(meshcat, X_WC, center)
+
+
+def _side_by_side(grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[Scene]) -> tuple[Array, Array]:
+    """Where to move each grasp [m], shape (n, 3), and the direction from which they are seen, shape (3,)."""
     direction = best_direction(grasps[0], hands[0], scenes[0])
     ahead = -np.array([direction[0], direction[1], 0.0]) / np.hypot(direction[0], direction[1])
     # Side by side as the camera sees them; several rows are seen from higher up.
@@ -254,47 +202,43 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
     columns = min(5, len(grasps)) if len(grasps) <= 5 else min(6, int(np.ceil(np.sqrt(1.6 * len(grasps)))))
     if len(grasps) > columns:
         direction = -ahead + np.array([0.0, 0.0, np.tan(ROWS_ELEVATION)])
-    seen: list[Blobs] = []
-    for k, (grasp, hand, scene) in enumerate(zip(grasps, hands, scenes, strict=True)):
+    offsets = []
+    for k in range(len(grasps)):
         row, column = divmod(k, columns)
         in_row = min(columns, len(grasps) - row * columns)
-        offset = GAP * ((column - 0.5 * (in_row - 1)) * right + row * ahead)
-        _draw_grasp(meshcat, f"grasp_{k}", grasp, hand, scene, offset)
-        blobs = grasp_blobs(grasp, hand, scene)
-        seen.append(Blobs(blobs.centers_W + offset, blobs.radii))
-    everything = Blobs(np.concatenate([b.centers_W for b in seen]), np.concatenate([b.radii for b in seen]))
-    low, high = everything.centers_W.min(axis=0), everything.centers_W.max(axis=0)
-    center, half = 0.5 * (low + high), float(0.5 * (high - low)[:2].max())
-    # One table under all of them.
-    size = 2.0 * half + 1.5
-    meshcat.SetObject("/drake/table", Box(size, size, 0.1), Rgba(*TABLE_COLOR))
-    meshcat.SetTransform("/drake/table", RigidTransform([center[0], center[1], -0.05]))
-    _draw_grid(meshcat, center, 0.05 * np.ceil((half + 0.3) / 0.05))
-    X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.3 if len(grasps) == 1 else 1.1)
-    aim(meshcat, X_WC, center)
+        offsets.append(GAP * ((column - 0.5 * (in_row - 1)) * right + row * ahead))
+    return np.array(offsets), direction
 
 
-def _draw_grasp(meshcat: Meshcat, name: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array) -> None:
-    def extend(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-        MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, MeshcatVisualizerParams(prefix=name))
+def _all_blobs(
+    grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[Scene], offsets: Array, rise_m: float
+) -> Blobs:
+    blobs = [grasp_blobs(g, hand, scene, rise_m=rise_m) for g, hand, scene in zip(grasps, hands, scenes, strict=True)]
+    centers = [b.centers_W + offset for b, offset in zip(blobs, offsets, strict=True)]
+    return Blobs(np.concatenate(centers), np.concatenate([b.radii for b in blobs]))
 
-    scene_plant = build_plant(hand, scene, extend=extend)
-    context = scene_plant.diagram.CreateDefaultContext()
-    plant_context = scene_plant.plant.GetMyMutableContextFromRoot(context)
-    scene_plant.set_wrist(plant_context, grasp.X_WH)
-    scene_plant.set_joints(plant_context, grasp.q)
-    scene_plant.set_object(plant_context, grasp.X_WO)
-    scene_plant.diagram.ForcedPublish(context)
-    path = f"/drake/{name}"
-    meshcat.Delete(f"{path}/table")
-    meshcat.SetTransform(path, RigidTransform(offset))
+
+def _middle(blobs: Blobs) -> tuple[Array, float]:
+    """Middle of everything, and half of the table under it [m]."""
+    low, high = blobs.centers_W.min(axis=0), blobs.centers_W.max(axis=0)
+    return 0.5 * (low + high), float(0.5 * (high - low)[:2].max()) + 0.3
+
+
+def _draw_grasp(
+    meshcat: Meshcat, path: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array, detail: Detail = FINE
+) -> None:
+    names = [link.name for link in hand.links]
+    draw_hand(meshcat, f"{path}/{hand.name}", hand, names, detail)
+    R_WLs, p_WLs = forward_kinematics(hand, grasp.X_WH, grasp.q[None])
+    for name, R, p in zip(names, R_WLs[0], p_WLs[0], strict=True):
+        X_WL = RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p)
+        meshcat.SetTransform(f"{path}/{hand.name}/{name}", X_WL)
+    # The cones open into the object, so it is to be seen through.
+    draw_object(meshcat, f"{path}/object", scene.object, 1.0 if grasp.certificate is None else OBJECT_OPACITY)
+    meshcat.SetTransform(f"{path}/object", grasp.X_WO)
     if grasp.certificate is not None:
-        # The cones open into the object, so it is drawn again to be seen through.
-        meshcat.Delete(f"{path}/object")
-        color = Rgba(*OBJECT_COLOR[:3], OBJECT_OPACITY)
-        meshcat.SetTriangleMesh(f"{path}/glass", scene.object.vertices.T, scene.object.faces.T, color)
-        meshcat.SetTransform(f"{path}/glass", grasp.X_WO)
         _draw_certificate(meshcat, f"{path}/certificate", grasp)
+    meshcat.SetTransform(path, RigidTransform(offset))
 
 
 def _draw_certificate(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
@@ -313,7 +257,7 @@ def _draw_certificate(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
             place_arrow(meshcat, f"{path}/forces/{k}", p_WC, f_W)
         # A Meshcat cone has its apex at its origin and opens along +z: the friction cone, whose axis is the normal.
         cone = MeshcatCone(CONE_HEIGHT, contact.mu * CONE_HEIGHT, contact.mu * CONE_HEIGHT)
-        meshcat.SetObject(f"{path}/cones/{k}", cone, Rgba(*CONE_COLOR))
+        meshcat.SetObject(f"{path}/cones/{k}", cone, Rgba(*CONE_COLOR, CONE_OPACITY))
         meshcat.SetTransform(f"{path}/cones/{k}", RigidTransform(RotationMatrix(R_WCs[k]), p_WC))
 
 
@@ -335,7 +279,20 @@ def grasp_page(grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[
     meshcat = start_meshcat(live=False)
     try:
         draw_grasps(meshcat, grasps, hands, scenes)
-        page = with_card(meshcat.StaticHtml(), *_still_card(grasps, hands, title))
+        drawn = [
+            (f"/drake/grasp_{k}/{hand.name}", hand, [link.name for link in hand.links]) for k, hand in enumerate(hands)
+        ]
+        certified = [k for k, grasp in enumerate(grasps) if grasp.certificate is not None]
+        page = write_page(
+            meshcat,
+            Trimmings(
+                *_still_card(grasps, hands, title),
+                legend=_certificate_legend(grasps) if certified else (),
+                names=_names(drawn) | {f"/drake/grasp_{k}/object": grasp.object for k, grasp in enumerate(grasps)},
+                switches=touch_switch(drawn)
+                | ({"forces and cones": [f"/drake/grasp_{k}/certificate" for k in certified]} if certified else {}),
+            ),
+        )
     finally:
         del meshcat
         gc.collect()
@@ -376,15 +333,15 @@ def view_live(
     grasp, hand, scene = grasps[0], hands[0], scenes[0]
     check_belonging(grasp, hand, scene)
     check_liftable(grasp)
+    film = film_lift(grasp, hand, scene, protocol=protocol)
     meshcat = start_meshcat(port)
-    _record(meshcat, grasp, hand, scene, protocol)
-    X_WC = best_view(grasp, hand, scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=protocol.rise_m)
-    aim(meshcat, X_WC, grasp.X_WO.translation() + np.array([0.0, 0.0, 0.5 * protocol.rise_m]))
+    _show_films(meshcat, [film], protocol.rise_m)
     return meshcat
 
 
-def _lift_card(grasp: Grasp, hand: Hand, lift: Lift) -> tuple[str, str, list[tuple[str, str]]]:
+def _lift_card(film: Film) -> tuple[str, str, list[tuple[str, str]]]:
     """Title, verdict class and lines of the card of a lift."""
+    grasp, lift = film.grasp, film.lift
     verdict = "lifted" if lift.success else "not lifted"
     rows = [("object", grasp.object), ("rise", f"{round(100.0 * lift.lift_height_m, 1) + 0.0:.1f} cm")]
     if lift.failure_reason:
@@ -393,7 +350,26 @@ def _lift_card(grasp: Grasp, hand: Hand, lift: Lift) -> tuple[str, str, list[tup
     rows.append(("protocol", lift.protocol))
     if grasp.grasp_id:
         rows.append(("grasp", grasp.grasp_id))
-    return f"{hand.display_name}: {verdict}", "good" if lift.success else "bad", rows
+    return f"{film.hand.display_name}: {verdict}", "good" if lift.success else "bad", rows
+
+
+def _lifts_card(films: Sequence[Film]) -> tuple[str, str, list[tuple[str, str]]]:
+    lifted = sum(film.lift.success for film in films)
+    objects = dict.fromkeys(film.grasp.object for film in films)
+    title = f"{', '.join(objects)}: {lifted} of {len(films)} lifted"
+    rows = [
+        (f.hand.name, "lifted" if f.lift.success else f.lift.failure_reason.replace("_", " ") or "not lifted")
+        for f in films
+    ]
+    return title, "good" if lifted == len(films) else "", rows
+
+
+def _certificate_legend(grasps: Sequence[Grasp]) -> list[Legend]:
+    contacts = [c for grasp in grasps if grasp.certificate is not None for c in grasp.certificate.contacts]
+    most = max((float(np.linalg.norm(c.f_C)) for c in contacts), default=0.0)
+    friction = sorted({round(c.mu, 3) for c in contacts})
+    text = f"friction cone, coefficient {friction[0]:g}" if len(friction) == 1 else "friction cone"
+    return [force_legend(most), Legend("cone", CONE_COLOR, text), Legend("ball", FORCE_COLOR, "contact")]
 
 
 def _still_card(grasps: Sequence[Grasp], hands: Sequence[Hand], title: str) -> tuple[str, str, list[tuple[str, str]]]:
@@ -410,44 +386,3 @@ def _still_card(grasps: Sequence[Grasp], hands: Sequence[Hand], title: str) -> t
     elif len(grasps) > 1:
         rows.append(("grasps", str(len(grasps))))
     return title or ", ".join(names), "", rows
-
-
-def with_card(page: str, title: str, verdict: str, rows: Sequence[tuple[str, str]]) -> str:
-    """A static page of Meshcat with a title, and a card in its corner."""
-    lines = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in rows)
-    card = f"""
-<style>
-#xdex-card {{ position: fixed; bottom: 12px; left: 12px; max-width: min(22rem, 86vw); box-sizing: border-box;
-  padding: 10px 14px; border-radius: 8px;
-  background: rgba(255, 255, 255, 0.88); color: #1d2430; font: 14px/1.45 system-ui, sans-serif;
-  box-shadow: 0 1px 4px rgba(0, 0, 0, 0.2); border-left: 5px solid #6b7686; }}
-#xdex-card.good {{ border-color: #2e9e5b; }}
-#xdex-card.bad {{ border-color: #cc3d3d; }}
-#xdex-card h1 {{ font-size: 15px; margin: 0 0 4px; }}
-#xdex-card dl {{ display: grid; grid-template-columns: auto 1fr; gap: 0 10px; margin: 0; }}
-#xdex-card dt {{ color: #5c6675; }}
-#xdex-card dd {{ margin: 0; overflow-wrap: anywhere; }}
-</style>
-<div id="xdex-card" class="{html.escape(verdict)}"><h1>{html.escape(title)}</h1><dl>{lines}</dl></div>
-<script>
-// Meshcat keeps the vertical field of view: where the window is narrow, see as much from side to side as on a wide one.
-(function () {{
-  const tangent = Math.tan({0.5 * FOV_Y});
-  function fit() {{
-    const camera = viewer.camera, aspect = window.innerWidth / window.innerHeight;
-    if (!camera || !camera.isPerspectiveCamera) return;
-    camera.fov = 2 * Math.atan(tangent * Math.max(1, {ASPECT} / aspect)) * 180 / Math.PI;
-    camera.updateProjectionMatrix();
-    viewer.set_dirty();
-  }}
-  window.addEventListener("resize", fit);
-  [100, 500, 1500, 4000].forEach(wait => setTimeout(fit, wait));
-}})();
-</script>
-"""
-    head, body, tail = page.rpartition("</body>")
-    if not body:
-        raise RuntimeError("Meshcat's page has no </body>")
-    head = head.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
-    head = head.replace("<head>", '<head>\n  <meta name="viewport" content="width=device-width, initial-scale=1">', 1)
-    return head + card + body + tail

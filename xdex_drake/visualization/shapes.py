@@ -17,7 +17,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
-from xdex_drake.scene.bodies import OBJECT_COLOR
+from xdex_drake.scene.materials import OTHER_MATERIALS
 from xdex_drake.visualization.pictures import FOV_Y, Image, add_renderer, color_image, require_rendering
 
 ELEVATION = 0.45
@@ -49,7 +49,7 @@ def render_shape(vertices: Array, faces: NDArray[np.int64], *, size: tuple[int, 
     shape = Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "shape")))
     instance = GeometryInstance(RigidTransform(), shape, "shape")
     properties = PerceptionProperties()
-    properties.AddProperty("phong", "diffuse", Rgba(*OBJECT_COLOR))
+    properties.AddProperty("phong", "diffuse", Rgba(*OTHER_MATERIALS[0]))
     instance.set_perception_properties(properties)
     scene_graph.RegisterAnchoredGeometry(scene_graph.RegisterSource("shapes"), instance)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
