@@ -11,7 +11,8 @@ import numpy as np
 from xdex_drake.interchange.mjcf import object_mjcf
 from xdex_drake.interchange.parts import ModelFile, file_name, hull_obj, number, numbers
 from xdex_drake.interchange.sdf import VERSION, add_inertial
-from xdex_drake.scene.bodies import OBJECT_COLOR, visual_obj
+from xdex_drake.scene.bodies import visual_obj
+from xdex_drake.scene.materials import object_color
 from xdex_drake.scene.object import ObjectModel
 
 ObjectFormat = Literal["urdf", "sdf", "mjcf"]
@@ -61,7 +62,7 @@ def object_urdf(thing: ObjectModel) -> ModelFile:
         )
         if k == 0:
             color = SubElement(element, "material", {"name": "object"})
-            SubElement(color, "color", {"rgba": numbers(np.array(OBJECT_COLOR))})
+            SubElement(color, "color", {"rgba": numbers(np.array([*object_color(thing.name), 1.0]))})
         else:
             properties = SubElement(element, "drake:proximity_properties")
             SubElement(properties, "drake:mu_static", {"value": number(thing.friction)})
@@ -81,7 +82,9 @@ def object_sdf(thing: ObjectModel) -> ModelFile:
         mesh = SubElement(SubElement(element, "geometry"), "mesh")
         SubElement(mesh, "uri").text = f"meshes/{name}"
         if k == 0:
-            SubElement(SubElement(element, "material"), "diffuse").text = numbers(np.array(OBJECT_COLOR))
+            SubElement(SubElement(element, "material"), "diffuse").text = numbers(
+                np.array([*object_color(thing.name), 1.0])
+            )
         else:
             SubElement(mesh, "drake:declare_convex")
             friction = SubElement(SubElement(SubElement(element, "surface"), "friction"), "ode")
