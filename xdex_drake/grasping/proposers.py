@@ -18,7 +18,7 @@ from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
 from xdex_drake.programs.program import GraspProgram
-from xdex_drake.programs.retargeting import RETRY, RetrySettings, refined_start, retargeting_program, retried_starts
+from xdex_drake.programs.retargeting import RETRY, RetrySettings, refined_starts, retargeting_program
 from xdex_drake.programs.search import SearchSettings, search
 from xdex_drake.scene.tabletop import Scene
 
@@ -107,10 +107,7 @@ class Retarget:
         build = partial(retargeting_program, grasp, self.source_hand, hand, scene, settings=self.polish)
         yield build()
         # Hands that differ much start deep in the object, from where local convex steps do not get out.
-        yield build(start=refined_start(grasp, self.source_hand, hand, scene))
-        if self.retry.starts < 1:
-            return
-        found = retried_starts(grasp, self.source_hand, hand, scene, seed=seed, retry=self.retry)
+        found = refined_starts(grasp, self.source_hand, hand, scene, seed=seed, retry=self.retry)
         for R_WH, p_WH, q, fingers in zip(found.R_WHs, found.p_WHs, found.qs, found.fingers, strict=True):
             X_WH = RigidTransform(RotationMatrix.ProjectToRotationMatrix(R_WH), p_WH)
             yield build(start=(X_WH, q), fingers=fingers)

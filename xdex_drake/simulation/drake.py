@@ -67,9 +67,11 @@ class LiftRig:
         Args:
             grasp: A grasp with pre-grasp and squeeze targets.
         """
-        scene_plant, context = self.scene_plant, self.simulator.get_mutable_context()
-        scene_plant.diagram.SetDefaultContext(context)
-        context.SetTime(0.0)
+        scene_plant = self.scene_plant
+        # Only the plant has a state. To set the whole diagram to its defaults would copy all geometry, which takes a
+        # tenth of the lift.
+        scene_plant.plant.SetDefaultContext(self._plant_context)
+        self.simulator.get_mutable_context().SetTime(0.0)
         _play_targets(self, grasp)
         # The mount stands at the grasp; the pre-grasp is an offset of the carriage.
         scene_plant.set_wrist(self._plant_context, grasp.X_WH)
