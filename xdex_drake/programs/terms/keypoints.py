@@ -57,7 +57,7 @@ class Tips:
         return value, Pull(tips_W=gradient)
 
 
-def keypoint_cost(targets: PointTargets, weight: float = 0.3) -> LeastSquares:
+def keypoint_cost(targets: PointTargets, weight: float = 1.0) -> LeastSquares:
     """Squared distances of keypoints from their targets, in units of `KEYPOINT_SCALE`.
 
     Args:
