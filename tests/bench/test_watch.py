@@ -1,12 +1,16 @@
 """Benchmarks: what they time and count, their JSON and their picture."""
 
+import importlib.util
+import itertools
 import json
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from xdex_drake.bench.ik import bench_ik, reachable_poses, tip_errors
+from xdex_drake.bench.svg import FONT, duration
 from xdex_drake.bench.watch import Stage, Watch, content, picture
 from xdex_drake.bench.wrench import bench_wrench
 from xdex_drake.hand.library import load_hand
@@ -61,3 +65,40 @@ def test_pictures_are_valid_svg(stages):
     root = ElementTree.fromstring(picture("title & more", stages))
     texts = [element.text for element in root.iter() if element.tag.endswith("text")]
     assert "title & more" in texts and all(stage.name in texts for stage in stages)
+
+
+@pytest.mark.parametrize(
+    ("ms", "said"),
+    [(0.0, "0 ms"), (0.0729, "72.9 µs"), (0.1, "0.1 ms"), (1.716, "1.72 ms"), (142.3, "142 ms"), (2367.0, "2.37 s")],
+)
+def test_times_have_units(ms, said):
+    assert duration(ms) == said
+
+
+def _boxes(root):
+    """Rectangles that the texts of a picture take, wide letters assumed."""
+    for text in (element for element in root.iter() if element.tag.endswith("text")):
+        size = float(text.get("font-size", FONT))
+        width = 0.55 * size * len(text.text)
+        x = float(text.get("x")) - width * {"end": 1.0, "middle": 0.5}.get(text.get("text-anchor"), 0.0)
+        y = float(text.get("y"))
+        yield text.text, (x, x + width, y - 0.7 * size, y + 0.2 * size)
+
+
+def test_committed_pictures_are_those_of_their_figures_and_no_texts_overlap():
+    folder = Path(__file__).parents[2] / "studies" / "bench"
+    spec = importlib.util.spec_from_file_location("draw", folder / "draw.py")
+    assert spec is not None and spec.loader is not None
+    draw = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(draw)
+    drawn = draw.pictures()
+    assert len(drawn) >= 6
+    for path, text in drawn.items():
+        assert path.read_text(encoding="utf-8") == text, "run `python studies/bench/draw.py`"
+        root = ElementTree.fromstring(text)
+        panel = float(root.get("width", "0")), float(root.get("height", "0"))
+        for (one, a), (other, b) in itertools.combinations(_boxes(root), 2):
+            apart = a[1] < b[0] or b[1] < a[0] or a[3] < b[2] or b[3] < a[2]
+            assert apart, f"{path.name}: {one!r} lies over {other!r}"
+        for one, box in _boxes(root):
+            assert box[0] > 0 and box[1] < panel[0] and box[3] < panel[1], f"{path.name}: {one!r} leaves the panel"

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from xdex_drake.arrays import Array
+from xdex_drake.bench.svg import picture_of
 from xdex_drake.bench.watch import Tick, Watch
 from xdex_drake.problems.files import load_any_problem, problem_scene
 from xdex_drake.problems.solve import problem_programs
@@ -156,26 +157,22 @@ def profile_picture(title: str, runs: Sequence[dict[str, Any]]) -> str:
     ratios = profile_ratios(runs)
     finite = [r for row in ratios.values() for r in row[np.isfinite(row)]]
     last = max(2.0 ** np.ceil(np.log2(max(finite, default=2.0) * 1.05)), 2.0)
-    left, top, width, height = 60, 40, 560, 300
+    left, top, width, height = 60, 44, 560, 300
 
     def at(tau: float, share: float) -> str:
         return f"{left + width * np.log2(tau) / np.log2(last):.1f},{top + height * (1.0 - share):.1f}"
 
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{left + width + 140}" height="{top + height + 60}" '
-        'font-family="sans-serif" font-size="12">',
-        '<rect width="100%" height="100%" fill="white"/>',
-        f'<text x="12" y="20" font-size="14">{escape(title)}</text>',
-    ]
+    lines = []
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         y = top + height * (1.0 - share)
-        lines.append(f'<line x1="{left}" y1="{y:.1f}" x2="{left + width}" y2="{y:.1f}" stroke="#ddd"/>')
+        lines.append(f'<line class="faint" x1="{left}" y1="{y:.1f}" x2="{left + width}" y2="{y:.1f}"/>')
         lines.append(f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{100 * share:.0f} %</text>')
-    for power in range(int(np.log2(last)) + 1):
+    powers = int(np.log2(last))
+    for power in range(0, powers + 1, 1 + powers // 12):
         x = left + width * power / np.log2(last)
-        lines.append(f'<text x="{x:.1f}" y="{top + height + 18}" text-anchor="middle">{2**power}</text>')
+        lines.append(f'<text x="{x:.1f}" y="{top + height + 18}" text-anchor="middle">{2**power}×</text>')
     lines.append(
-        f'<text x="{left + width / 2}" y="{top + height + 40}" text-anchor="middle">'
+        f'<text class="soft" x="{left + width / 2}" y="{top + height + 42}" text-anchor="middle">'
         "time, as a multiple of the fastest solver's</text>"
     )
     for row, (solver, values) in enumerate(ratios.items()):
@@ -188,7 +185,7 @@ def profile_picture(title: str, runs: Sequence[dict[str, Any]]) -> str:
         path.append(at(last, share))
         lines.append(f'<polyline points="{" ".join(path)}" fill="none" stroke="{color}" stroke-width="2"/>')
         y = top + 16 + 20 * row
-        lines.append(
-            f'<text x="{left + width + 12}" y="{y}" fill="{color}">{escape(solver)} {100 * share:.0f} %</text>'
-        )
-    return "\n".join([*lines, "</svg>"]) + "\n"
+        x = left + width + 16
+        lines.append(f'<rect x="{x}" y="{y - 10}" width="14" height="10" fill="{color}"/>')
+        lines.append(f'<text x="{x + 20}" y="{y}">{escape(solver)}, {100 * share:.0f} % in all</text>')
+    return picture_of(title, left + width + 190, top + height + 58, lines)

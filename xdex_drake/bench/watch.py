@@ -9,7 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
 from importlib.metadata import version
+from math import ceil, floor, log10
 from typing import Any
+
+from xdex_drake.bench.svg import duration, picture_of, room_for
 
 PACKAGES = ("xdex_drake", "drake", "torch", "numpy", "clarabel", "daqp")
 
@@ -148,38 +151,47 @@ def picture(title: str, stages: tuple[Stage, ...]) -> str:
     Returns:
         The text of an SVG file.
     """
-    from math import ceil, floor, log10
-
-    values = [max(v, 1e-3) for s in stages for v in (s.median_ms, s.p90_ms, s.target_ms) if v is not None] or [1.0]
+    least = 1e-3  # of what a logarithm can show [ms]
+    values = [max(v, least) for s in stages for v in (s.median_ms, s.p90_ms, s.target_ms) if v is not None] or [1.0]
     low, high = floor(log10(min(values)) - 0.05), ceil(log10(max(values)) + 0.05)
-    left, width, row = 280, 520, 24
+    left, width, row, top = 24.0 + room_for([stage.name for stage in stages]), 480.0, 24, 62
+    bottom, column = top + row * len(stages), left + width + 84.0  # medians stand in a column of their own
 
     def x(ms: float) -> float:
-        return left + width * (log10(max(ms, 1e-3)) - low) / max(high - low, 1)
+        return left + width * (log10(max(ms, least)) - low) / max(high - low, 1)
 
-    bottom = 40 + row * len(stages)
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{left + width + 90}" height="{bottom + 34}" '
-        'font-family="sans-serif" font-size="12">',
-        '<rect width="100%" height="100%" fill="white"/>',
-        f'<text x="12" y="20" font-size="14">{escape(title)}</text>',
-    ]
+    lines = [f'<text class="soft" x="{column:.1f}" y="{top - 8}" text-anchor="end">median</text>']
+    lines += _legend(left, any(stage.target_ms is not None for stage in stages))
     for power in range(low, high + 1):
         at = x(10.0**power)
-        lines.append(f'<line x1="{at:.1f}" y1="32" x2="{at:.1f}" y2="{bottom}" stroke="#ddd"/>')
-        lines.append(f'<text x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{10.0**power:g} ms</text>')
+        lines.append(f'<line class="faint" x1="{at:.1f}" y1="{top - 2}" x2="{at:.1f}" y2="{bottom}"/>')
+        lines.append(f'<text x="{at:.1f}" y="{bottom + 18}" text-anchor="middle">{duration(10.0**power)}</text>')
     for k, stage in enumerate(stages):
-        y = 36 + row * k
+        y = top + row * k
         end = x(stage.median_ms)
         lines += [
-            f'<text x="{left - 8}" y="{y + 13}" text-anchor="end">{escape(stage.name)}</text>',
-            f'<rect x="{left}" y="{y}" width="{max(end - left, 1):.1f}" height="16" fill="#4878a8"/>',
-            f'<line x1="{end:.1f}" y1="{y + 8}" x2="{x(stage.p90_ms):.1f}" y2="{y + 8}" stroke="#222"/>',
-            f'<text x="{max(end, x(stage.p90_ms)) + 5:.1f}" y="{y + 13}">{stage.median_ms:.3g}</text>',
+            f'<text x="{left - 10:.1f}" y="{y + 13}" text-anchor="end">{escape(stage.name)}</text>',
+            f'<rect class="bar" x="{left:.1f}" y="{y}" width="{max(end - left, 1):.1f}" height="16"/>',
+            f'<line class="tail" x1="{end:.1f}" y1="{y + 8}" x2="{x(stage.p90_ms):.1f}" y2="{y + 8}"/>',
+            f'<text x="{column:.1f}" y="{y + 13}" text-anchor="end">{duration(stage.median_ms)}</text>',
         ]
         if stage.target_ms is not None:
             at = x(stage.target_ms)
-            lines.append(
-                f'<line x1="{at:.1f}" y1="{y - 3}" x2="{at:.1f}" y2="{y + 19}" stroke="#c03030" stroke-width="2"/>'
-            )
-    return "\n".join([*lines, "</svg>"]) + "\n"
+            lines.append(f'<line class="target" x1="{at:.1f}" y1="{y - 3}" x2="{at:.1f}" y2="{y + 19}"/>')
+    return picture_of(title, column + 16, bottom + 32, lines)
+
+
+def _legend(x: float, targets: bool) -> list[str]:
+    """What bar, line and tick mean, in one line under the title."""
+    lines = [
+        f'<rect class="bar" x="{x:.1f}" y="37" width="18" height="10"/>',
+        f'<text class="soft" x="{x + 24:.1f}" y="46">median</text>',
+        f'<line class="tail" x1="{x + 84:.1f}" y1="42" x2="{x + 104:.1f}" y2="42"/>',
+        f'<text class="soft" x="{x + 110:.1f}" y="46">to the 90th percentile</text>',
+    ]
+    if targets:
+        lines += [
+            f'<line class="target" x1="{x + 258:.1f}" y1="36" x2="{x + 258:.1f}" y2="48"/>',
+            f'<text class="soft" x="{x + 266:.1f}" y="46">target</text>',
+        ]
+    return lines

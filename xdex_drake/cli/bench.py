@@ -90,7 +90,7 @@ class Bench:
             return interruption.status(1)
         result: Any = contents[0] if len(contents) == 1 else {"benchmark": "all", "parts": contents}
         write_text(self.out, json.dumps(result, indent=1) + "\n")
-        title = f"xdex bench {self.name}: medians, p90 (line) and target (red)"
+        title = f"xdex bench {self.name}: times of one thread"
         write_text(self.out.with_suffix(".svg"), picture(title, stages))
         print(f"written to {self.out} and {self.out.with_suffix('.svg')}")
         if runs:
