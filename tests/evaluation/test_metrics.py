@@ -4,6 +4,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from xdex_drake.evaluation.metrics import (
     joint_entropy,
+    normalised_entropy,
     position_difference,
     success_rate,
     vector_difference,
@@ -53,6 +54,15 @@ def test_entropy_is_zero_for_one_value_and_ln_n_for_n(allegro):
     spread = low + (high - low) * np.linspace(0.005, 0.995, 50)[:, None]
     mean, deviation = joint_entropy(allegro, spread)
     assert mean == pytest.approx(np.log(50)) and deviation == pytest.approx(0.0, abs=1e-12)
+
+
+def test_normalised_entropy_is_a_share_of_the_greatest(allegro):
+    low, high = allegro.limits
+    even = low + (high - low) * (np.arange(64)[:, None] + 0.5) / 64
+    assert normalised_entropy(allegro, even) == (pytest.approx(1.0), pytest.approx(0.0, abs=1e-12))
+    half = low + 0.5 * (high - low) * (np.arange(64)[:, None] + 0.5) / 64
+    assert normalised_entropy(allegro, half)[0] == pytest.approx(np.log(16) / np.log(32))
+    assert normalised_entropy(allegro, even[:1]) == (0.0, 0.0)
 
 
 def test_wilson_and_success_rate(allegro):

@@ -198,6 +198,44 @@ class DatasetCard:
 
 
 @dataclass(frozen=True)
+class DatasetMetrics:
+    """How consistent a data set's lifted grasps are across hands, and how many different ways lift an object.
+
+    Position difference: mean distance of corresponding fingertips and wrists in the world; vector difference: that of
+    fingertips in the wrist frame. Grasps are distinct where they are 2 cm or more apart by position difference.
+
+    Attributes:
+        folder: Folder of the data set.
+        units: Greatest number of units that are read, evenly spread.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    units: int = 50
+
+    def run(self) -> int:
+        """Measures, prints."""
+        one_thread()
+        from xdex_drake.errors import ConfigError
+        from xdex_drake.evaluation.measure import measure
+
+        if self.units < 1:
+            raise ConfigError(f"--units is {self.units}; give 1 or more")
+        found = measure(self.folder, units=self.units)
+        kinds = {"versions of one grasp": found.matched, "any two of one scene": found.all}
+        rows = [(name, c.pairs, f"{c.position_cm:.2f}", f"{c.vector_cm:.2f}") for name, c in kinds.items()]
+        print(table(rows, ("pairs by different hands", "pairs", "position difference [cm]", "vector difference [cm]")))
+        lines = [
+            ("lifted grasps", found.grasps),
+            ("scenes", found.scenes),
+            ("distinct grasps a scene", f"{found.distinct:.1f}"),
+            ("surface near a contact", f"{found.coverage:.2f}"),
+            ("normalised entropy of joint values", f"{found.entropy:.2f}"),
+        ]
+        print("\n" + facts(lines))
+        return 0 if found.grasps else 1
+
+
+@dataclass(frozen=True)
 class DatasetCompact:
     """Keeps a data set in some 60 bytes a grasp, in files below 10 MB that are appended to and never rewritten.
 

@@ -92,6 +92,23 @@ def joint_entropy(hand: Hand, qs: Array, *, bins: int = BINS) -> tuple[float, fl
     return float(np.mean(entropies)), float(np.std(entropies))
 
 
+def normalised_entropy(hand: Hand, qs: Array, *, bins: int = 32) -> tuple[float, float]:
+    """Entropy of each joint's values as a share of the greatest: mean and standard deviation over joints.
+
+    Unlike `joint_entropy` it does not saturate at ln N, from a few hundred grasps on. Ask it of grasps that lifted.
+
+    Args:
+        hand: The hand.
+        qs: Joint values of N grasps [rad or m], shape (N, n).
+        bins: Number of bins over each joint's range.
+
+    Returns:
+        Mean and standard deviation, from 0 for one value to 1 for values spread evenly over the range.
+    """
+    mean, deviation = joint_entropy(hand, qs, bins=bins)
+    return mean / float(np.log(bins)), deviation / float(np.log(bins))
+
+
 def wilson_interval(successes: int, trials: int, *, z: float = 1.96) -> tuple[float, float]:
     """Wilson's score interval of a success rate.
 
