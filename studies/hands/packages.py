@@ -59,14 +59,15 @@ HANDS = (
     Expected("dexmate-urdf", f"{DEXMATE}/dexs_gripper/dexs_gripper.urdf", Z, X, 2, jaws=True),
     Expected("dexmate-urdf", f"{DEXMATE}/dexd_gripper/dexd_gripper.urdf", Z, Y, 2, jaws=True),
     Expected("example-robot-data", f"{DATA}/tiago_description/robots/tiago.urdf", Z, X, 5),
-    Expected("example-robot-data", f"{DATA}/romeo_description/urdf/romeo.urdf", -Z, X, 4, "right"),
+    Expected("example-robot-data", f"{DATA}/romeo_description/urdf/romeo.urdf", X, -Z, 4, "right"),
     Expected("example-robot-data", f"{DATA}/pr2_description/urdf/pr2.urdf", X, Y, 2, "right", jaws=True),
     Expected("example-robot-data", f"{DATA}/baxter_description/urdf/baxter.urdf", Z, Y, 2, "right", jaws=True),
     Expected("example-robot-data", f"{DATA}/alex_description/urdf/alex_sake_hands.urdf", -Z, Y, 2, "right", jaws=True),
     Expected("mani-skill", "mani_skill/assets/robots/fetch/fetch.urdf", X, Y, 2, jaws=True),
 )
 """Written after the files of robosuite, orca and egk40 had been tried; claws, bars and fingers drawn half bent were
-mended on jaco, robotiq_s, robotiq_140 and f5d6. Files without a finger or a shape are left out."""
+mended on jaco, robotiq_s, robotiq_140 and f5d6. Files without a finger or a shape are left out. The row of romeo was
+read wrongly at first: its fingers are drawn closed, and point along X where they are open."""
 
 
 def fetched(package: str, folder: Path) -> Path:

@@ -9,12 +9,15 @@ import pytest
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
-from xdex_drake.hand.description import Box, Capsule
-from xdex_drake.hand.importing.files import import_hand
+from xdex_drake.hand.description import Box, Capsule, Hand
+from xdex_drake.hand.importing.files import import_hand, read_model
 from xdex_drake.hand.importing.interpret import Imported, interpret
 from xdex_drake.hand.importing.model import FileInertia, FileJoint, FileLink, FileMimic, FileModel
 from xdex_drake.hand.kinematics import rotation_about
+from xdex_drake.hand.library import list_hands, load_hand
+from xdex_drake.hand.mirror import mirror
 from xdex_drake.hand.yaml_file import hand_text, read_hand
+from xdex_drake.interchange.urdf import export_urdf
 
 X, Y, Z = np.eye(3)
 FINGERS = ("index", "middle", "ring", "little")
@@ -118,6 +121,7 @@ def test_a_hub_that_steps_aside_does_not_turn_the_wrist_frame(hub: str, side: st
     imported = interpret(box_hand(steps, side=side), name="hand")
     assert max(off(imported)) < 5.0
     assert imported.hand.side == side
+    assert len(imported.hand.ignored_contacts) in (0, 4)  # Fingers that are alike are judged alike.
     assert not told(imported)
 
 
@@ -145,6 +149,28 @@ def test_fingers_that_are_drawn_half_bent_do_not_turn_it_either() -> None:
     bent = {"prox": rotation_about(Y, 0.35), "dist": rotation_about(Y, 0.4)}
     joints = (replace(j, R_PJ=bent[j.child[-4:]]) if j.child[-4:] in bent and j.axis[1] else j for j in hand.joints)
     assert max(off(interpret(replace(hand, joints=tuple(joints)), name="hand"))) < 5.0
+
+
+def test_fingers_that_are_drawn_closed_and_open_as_their_joints_rise_do_not_turn_it_either() -> None:
+    hand = box_hand((*KNUCKLE, ("tip", Y, (0.0, 0.0, 0.04), (0.0, 1.5))))
+    turned = rotation_about(Y, 1.1)
+    joints = (
+        replace(j, R_PJ=turned, axis=-Y, upper=1.1) if j.axis[1] == 1.0 and j.kind != "fixed" else j
+        for j in hand.joints
+    )
+    imported = interpret(replace(hand, joints=tuple(joints)), name="hand")
+    assert max(off(imported)) < 5.0
+    assert imported.hand.side == "right"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_thumb_and_few_fingers_are_a_hand_and_no_claw(count: int) -> None:
+    hand, gone = box_hand(), FINGERS[count:]
+    links = tuple(link for link in hand.links if not link.name.startswith(gone))
+    joints = tuple(j for j in hand.joints if not j.child.startswith(gone))
+    imported = interpret(replace(hand, links=links, joints=joints), name="hand")
+    assert len(imported.hand.fingers) == 1 + count
+    assert max(off(imported)) < 5.0
 
 
 # ---- what is a finger
@@ -612,11 +638,13 @@ def nested_hand(side: str, *, deep: float = 0.0) -> FileModel:
 def as_another_maker(hand: FileModel, seed: int) -> FileModel:
     """The same hand with its links in another order and some of its joints counted the other way round."""
     rng = np.random.default_rng(seed)
+    sign = {j.name: -1.0 if rng.random() < 0.5 else 1.0 for j in hand.joints}
     joints = []
     for j in hand.joints:
-        if j.kind != "fixed" and rng.random() < 0.5:
-            j = replace(j, axis=-j.axis, lower=-j.upper, upper=-j.lower)
-        joints.append(j)
+        s = sign[j.name]
+        law = j.mimic and FileMimic(j.mimic.master, s * sign[j.mimic.master] * j.mimic.multiplier, s * j.mimic.offset)
+        lower, upper = sorted((s * j.lower, s * j.upper))
+        joints.append(replace(j, axis=s * j.axis, lower=lower, upper=upper, mimic=law))
     rng.shuffle(joints)  # pyright: ignore[reportArgumentType]
     return replace(hand, joints=tuple(joints))
 
@@ -637,6 +665,37 @@ def test_a_hand_and_its_mirror_image_get_the_same_decisions(deep: float) -> None
             turned = np.sign(plain[name] @ next(j.axis for j in left.joints if j.name == name))
             assert turned * value == pytest.approx(values[name], abs=0.02), name
     assert axes
+
+
+def held_against_its_mirror_image(hand: Hand, folder: Path) -> None:
+    """Imports a hand and its mirror image, the latter as another maker would write it, and compares the decisions."""
+    hand = replace(hand, ignored_contacts=())
+    right, left = (replace(read_model(export_urdf(h, folder / h.side)), ignored_pairs=()) for h in (hand, mirror(hand)))
+    found = interpret(right, name="hand").hand
+    other = as_another_maker(left, 0)
+    twin = mirror(interpret(other, name="hand").hand)
+    assert {frozenset(pair) for pair in twin.ignored_contacts} == {frozenset(pair) for pair in found.ignored_contacts}
+    assert [f.name for f in twin.fingers] == [f.name for f in found.fingers]
+    np.testing.assert_allclose(twin.R_HB, found.R_HB, atol=1e-3)
+    np.testing.assert_allclose(twin.p_HB, found.p_HB, atol=1e-4)
+    for a, b in zip(twin.fingers, found.fingers, strict=True):
+        np.testing.assert_allclose(a.p_LTip, b.p_LTip, atol=1e-4)
+    axes = {j.name: j.axis for j in left.joints}
+    sense = {j.name: float(np.sign(j.axis @ axes[j.name])) for j in other.joints}
+    values = dict(zip(found.joint_names, found.q_rest, strict=True))
+    for name, value in zip(twin.joint_names, twin.q_rest, strict=True):
+        assert sense[name] * value == pytest.approx(values[name], abs=0.02), name
+
+
+@pytest.mark.parametrize("name", list_hands())
+def test_so_do_a_hand_of_the_library_and_its_mirror_image(name: str, tmp_path: Path) -> None:
+    held_against_its_mirror_image(load_hand(name), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["allegro", "schunk_svh", "shadow"])
+def test_so_do_a_makers_hand_and_its_mirror_image(name: str, reference: Path, tmp_path: Path) -> None:
+    path = reference / "hands_reference" / name / f"{name}_hand_right.urdf"
+    held_against_its_mirror_image(import_hand(path).hand, tmp_path)
 
 
 def test_links_that_overlap_in_most_postures_are_warned_of() -> None:

@@ -31,8 +31,14 @@ PHALANX = 0.5
 STRAIGHTER = 0.015
 """A finger that is straighter when open, by this share of its length, is drawn half bent at zero."""
 
+CURLED = 0.1
+"""Ends of a finger's range at which it is straight to this different degree tell which way it closes."""
+
 STRAY = np.deg2rad(40.0)
 """A first phalanx that leads farther than this away from the tip does not tell the finger's direction [rad]."""
+
+SIDEWAYS = 0.6
+"""Cosine between the axis of a thumb and the direction of the fingers above which it is no jaw among others."""
 
 LEAN = 0.4
 """Sine of the angle by which the fingers of a gripper may lean to one side for lack of a common range."""
@@ -241,8 +247,9 @@ def _facing(hand: Hand, digits: list[Digit]) -> list[Digit]:
 def _closing(hand: Hand, chains: list[Chain], tips: list[Array], n: int, decisions: Decisions) -> tuple[Array, Array]:
     """Which way each actuated joint bends a finger, and the axis it bends about, in B at the zero posture.
 
-    Joints parallel to the last one bend the finger; of a straight finger they have more room to bend than to stretch.
-    Where the limits do not say, or there are two fingers only, the way in which the tips approach each other counts.
+    Joints parallel to the last one bend the finger: it closes towards that end of their range where it is less
+    straight, be it drawn open or closed at zero. A finger of one phalanx has more room to bend than to stretch. Where
+    the limits do not say, or there are two fingers only, the way in which the tips approach each other counts.
     """
     chain = chains[n]
     C = hand.coupling_matrix
@@ -269,8 +276,12 @@ def _closing(hand: Hand, chains: list[Chain], tips: list[Array], n: int, decisio
     lower, upper = hand.limits
     room = weight * ((upper - q0) - (q0 - lower))
     total = float((np.abs(weight) * (upper - lower)).sum())
+    ends = [np.where(weight == 0.0, q0, np.where(way * weight > 0.0, upper, lower)) for way in (1.0, -1.0)]
+    straight = [_phalanx(hand, chain, q, tips[n])[1] for q in ends]
     sign = 0.0
-    if len(chains) > 2 and total > 0.0 and abs(room.sum()) > 0.2 * total:
+    if len(chains) > 2 and total > 0.0 and abs(straight[0] - straight[1]) > CURLED:
+        sign = float(np.sign(straight[1] - straight[0]))
+    elif len(chains) > 2 and total > 0.0 and abs(room.sum()) > 0.2 * total:
         sign = float(np.sign(room.sum()))
     elif total > 0.0:
         sign = _approach(hand, chains, tips, n, np.sign(weight))
@@ -443,12 +454,14 @@ def _finger_direction(hand: Hand, digits: list[Digit], rest: list[int], thumb: i
         meet = sweeps[thumb] @ sweeps[rest].mean(axis=0) < -0.5 * np.linalg.norm(sweeps, axis=1).max() ** 2
         # A claw of three may be drawn wide open.
         alike = max(v[thumb] @ v[rest].mean(axis=0) for v in ((ways, mid) if len(digits) == 3 else (ways,))) > 0.5
-        if len(digits) == 2 or (alike and meet):
+        # A thumb that is set sideways bends about the direction in which the fingers point, a jaw across it.
+        sideways = abs(digits[thumb].axis @ common) > SIDEWAYS
+        if not sideways and (len(digits) == 2 or (alike and meet)):
             # A claw: the thumb points as the fingers do and comes to meet them. Leaning outwards cancels at mid range.
             along = mid[thumb] + mid[rest].mean(axis=0)
             if np.linalg.norm(along) < 0.3:
                 along = ways[rest].mean(axis=0)
-        if len(digits) == 2:
+        if len(digits) == 2 and not sideways:
             # Jaws whose ranges differ lean to one side at mid range; a gripper's fingers stand across their roots.
             across = digits[1].p_BRoot - digits[0].p_BRoot
             across = across / max(float(np.linalg.norm(across)), 1e-2)

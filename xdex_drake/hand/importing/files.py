@@ -26,7 +26,7 @@ from xdex_drake.hand.importing.xml_file import read_xml
 from xdex_drake.hand.yaml_file import hand_text, read_hand
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
-RECIPE = 4  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
+RECIPE = 5  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
 WHAT = "a URDF, MJCF or SDFormat file of one hand"
 READERS: dict[str, Callable[[Path, Allowed], FileModel]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
 """The reader for each root element."""

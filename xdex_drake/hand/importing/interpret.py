@@ -20,7 +20,7 @@ from xdex_drake.hand.importing.model import FileLink, FileModel
 from xdex_drake.hand.importing.palm import Chain, find_chains, find_hand
 from xdex_drake.hand.importing.rest import rest_posture
 from xdex_drake.hand.importing.shape import link_shapes, surface_points, without_markers
-from xdex_drake.hand.spheres import fit_spheres
+from xdex_drake.hand.spheres import BULGE, fit_spheres
 from xdex_drake.hand.yaml_file import MAX_BYTES, hand_text, parse_hand
 
 SLIP = 100.0
@@ -39,11 +39,14 @@ SHORTEST = 0.02
 CROWDED_POSTURES = 15
 """Number of postures that tell a hand whose links overlap in most of them."""
 
-NESTED_SHARE = 0.3
-"""Parts that overlap in this share of their motion are nested; others touch now and then."""
+NESTED_GAP = 2.0 * BULGE + OVERLAP_MARGIN
+"""Parts that are nearer than this may count as overlapping, for the spheres of either bulge out of its shape [m]."""
 
-NESTED_SLACK = 2e-3
-"""Parts of one finger that are this much apart at zero, where those of the others overlap, are judged like them [m]."""
+NESTED_SHARE = 0.3
+"""Parts that are that near in this share of their motion are nested; others touch now and then."""
+
+OUTLINE = 150
+"""Number of points that stand for the surface of each of a link's shapes, besides its corners."""
 
 NESTED_GRID = {1: 33, 2: 9, 3: 6, 4: 4}
 """Number of values of each joint, by the number of joints, at which that is judged."""
@@ -359,21 +362,23 @@ def _gear_pairs(hand: Hand, anatomy: Anatomy) -> list[tuple[int, int]]:
 
 
 def _nested_in_palm(hand: Hand, anatomy: Anatomy) -> list[tuple[int, int]]:
-    """Second links of fingers that overlap the palm at the zero posture and in much of their motion.
+    """Second links of fingers that are as near to the palm as nested parts at the zero posture and in their motion.
 
     A finger's first link is the palm's neighbor; contact of the palm with links beyond the second is one of the
-    posture's. Judged is the share of the motion of the joints that carry the link, gone through evenly. The thumb is
-    judged by itself, the other fingers together, so that one of them that is a little farther off goes with the rest.
+    posture's. Judged is the share of the motion of the joints that carry the link, gone through evenly, and by the
+    shapes, not by the spheres that stand for them, which no two fingers have alike. The thumb is judged by itself, the
+    other fingers together, so that one of them that is a little farther off goes with the rest.
     """
     near: dict[str, list[tuple[int, float]]] = {"thumb": [], "others": []}
     for name, digit in zip(anatomy.names, anatomy.digits, strict=True):
-        solid = [k for k in digit.chain.path if len(hand.links[k].spheres)]
-        if len(solid) < 2 or not len(hand.links[0].spheres):
+        solid = [k for k in digit.chain.path if hand.links[k].geometry]
+        if len(solid) < 2 or not hand.links[0].geometry:
             continue
         gaps = _gaps_to_palm(hand, digit.chain.path[: digit.chain.path.index(solid[1]) + 1])
-        if gaps[0] <= OVERLAP_MARGIN + NESTED_SLACK:
-            share = float((gaps[1:] <= OVERLAP_MARGIN).mean())
-            near["thumb" if name == "thumb" else "others"].append((solid[1], share))
+        # A fingertip is meant to touch things, the palm among them: that it comes near is not enough.
+        most = NESTED_GAP if solid[1] != digit.chain.bodies[-1] else 0.0
+        if gaps[0] <= most:
+            near["thumb" if name == "thumb" else "others"].append((solid[1], float((gaps[1:] <= most).mean())))
     nested = []
     for group in near.values():
         if group and np.mean([share for _, share in group]) >= NESTED_SHARE:
@@ -392,10 +397,14 @@ def _gaps_to_palm(hand: Hand, path: tuple[int, ...]) -> Array:
     qs = np.repeat(zero[None], len(grid) + 1, axis=0)
     qs[1:, motors[:6]] = grid
     R, p = link_poses(hand, qs)
-    palm, spheres = hand.links[0].spheres, hand.links[path[-1]].spheres
-    centers = p[:, path[-1], None] + spheres[:, :3] @ np.swapaxes(R[:, path[-1]], 1, 2)  # (N, m, 3)
-    apart = np.linalg.norm(centers[:, :, None] - palm[:, :3], axis=3)
-    return (apart - spheres[:, 3, None] - palm[:, 3]).min(axis=(1, 2))
+    rng = np.random.default_rng(0)
+    shapes = hand.links[path[-1]].geometry
+    outline = np.concatenate([x for shape in shapes for x in (shape.corners(), shape.sample(OUTLINE, rng)[0])])
+    gaps = np.full(len(qs), np.inf)
+    for k in range(len(qs)):
+        points = p[k, path[-1]] + outline @ R[k, path[-1]].T
+        gaps[k] = min(float(shape.signed_distance(points).min()) for shape in hand.links[0].geometry)
+    return gaps
 
 
 def _pair_names(hand: Hand, pairs: list[tuple[int, int]]) -> str:
