@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.shapes import Box, Capsule, Convex, Geometry, Sphere
+from xdex_drake.hand.surface import Surface
 
 __all__ = [
     "Array",
@@ -40,6 +41,7 @@ class Link:
         p_LLcm: Center of mass in L [m], shape (3,).
         I_LLcm: Rotational inertia about the center of mass, axes of L [kg m^2], shape (3, 3).
         spheres: Spheres that approximate the geometry, rows (x, y, z, radius) in L [m], shape (n, 4).
+        surfaces: Surfaces of the hand's own file to draw, in L; empty where it brought none. No part of the digest.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Link:
     p_LLcm: Array
     I_LLcm: Array
     spheres: Array
+    surfaces: tuple[Surface, ...] = ()
 
 
 @dataclass(frozen=True)

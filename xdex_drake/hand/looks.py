@@ -3,6 +3,8 @@
 Nothing here is touched: collision, certificates and the digest know the primitives of the links alone. A look follows
 them to a fraction of a millimeter where an object can touch, so that a contact is seen where it is. Primitives of a
 link flow into one rounded surface; joints get drums, gaps between links struts, fingertips pads (people: nails).
+A hand whose file brought surfaces of its own (`Link.surfaces`) is drawn by those, and by nothing that is made here but
+the bodies of links without any.
 """
 
 from __future__ import annotations
@@ -13,13 +15,10 @@ from functools import lru_cache
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Box, Capsule, Convex, Finger, Geometry, Hand, Link, Sphere
-
-Color = tuple[float, float, float]
-Faces = NDArray[np.int64]
+from xdex_drake.hand.surface import Color, Faces, Surface
 
 FINGER_COLORS = {
     "thumb": (0.84, 0.42, 0.30),
@@ -74,23 +73,6 @@ COARSE = Detail(part=3, body=5, palm=7, drum=10)
 """For a page of many hands: some 4000 triangles a hand."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """A surface of triangles that is drawn with a link.
-
-    Attributes:
-        vertices: Corners in L [m], shape (n, 3).
-        normals: Outward unit normals at the corners, shape (n, 3).
-        faces: Corner indices, counterclockwise from outside, shape (m, 3).
-        color: Red, green, blue.
-    """
-
-    vertices: Array
-    normals: Array
-    faces: Faces
-    color: Color
-
-
 @lru_cache(maxsize=64)
 def hand_surfaces(hand: Hand, detail: Detail = FINE) -> tuple[tuple[Surface, ...], ...]:
     """What is drawn of each link of a hand.
@@ -103,8 +85,13 @@ def hand_surfaces(hand: Hand, detail: Detail = FINE) -> tuple[tuple[Surface, ...
         The surfaces of each link, in the order of `hand.links`.
     """
     human = hand.sources.get("base", "").startswith("human")
-    colors = _shell_colors(hand, human)
-    drawn = [_body(link.geometry, color, detail) for link, color in zip(hand.links, colors, strict=True)]
+    colors = shell_colors(hand, human)
+    drawn = [
+        list(link.surfaces) or _body(link.geometry, color, detail)
+        for link, color in zip(hand.links, colors, strict=True)
+    ]
+    if any(link.surfaces for link in hand.links):
+        return tuple(tuple(surfaces) for surfaces in drawn)
     for finger in hand.fingers:
         tip = hand.link_index[finger.tip_link]
         if hand.links[tip].geometry:
@@ -112,6 +99,20 @@ def hand_surfaces(hand: Hand, detail: Detail = FINE) -> tuple[tuple[Surface, ...
     for k, surfaces in enumerate(_joint_surfaces(hand, human, detail)):
         drawn[k] += surfaces
     return tuple(tuple(surfaces) for surfaces in drawn)
+
+
+def primitive_surface(shape: Geometry, color: Color, detail: Detail = FINE) -> Surface:
+    """The surface of a primitive by itself, edges of a box rounded.
+
+    Args:
+        shape: The primitive.
+        color: Red, green, blue.
+        detail: How finely.
+
+    Returns:
+        The surface, in L.
+    """
+    return _one(shape, color, detail)
 
 
 def surface_obj(surfaces: Sequence[Surface]) -> str:
@@ -149,7 +150,8 @@ def finger_color(finger: Finger) -> Color:
 # ---- colors
 
 
-def _shell_colors(hand: Hand, human: bool) -> list[Color]:
+def shell_colors(hand: Hand, human: bool = False) -> list[Color]:
+    """Color of each link's body, in the order of `hand.links`: skin, or a shell with a tint of its finger's color."""
     if human:
         return [SKIN_COLOR] * len(hand.links)
     colors: dict[str, Color] = {}

@@ -73,6 +73,7 @@ def _mirrored_link(link: Link) -> Link:
         _flip(link.p_LLcm),
         _flip_rotation(link.I_LLcm),
         link.spheres * np.array([*FLIP, 1.0]),
+        tuple(surface.mirrored() for surface in link.surfaces),
     )
 
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, 
 from xdex_drake.hand.inertia import link_inertia
 from xdex_drake.hand.shapes import values_of
 from xdex_drake.hand.spheres import fit_spheres
+from xdex_drake.hand.surface import read_surfaces, write_surfaces
 from xdex_drake.typed_yaml import YamlLoader, plain_yaml
 
 MAX_BYTES = 5_000_000
@@ -55,11 +57,11 @@ def read_hand(path: str | Path) -> Hand:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise HandFileError(f"{path}: the file cannot be read ({error}); give a readable UTF-8 text file") from error
-    return parse_hand(text, str(path))
+    return _with_surfaces(parse_hand(text, str(path)), surfaces_file(path))
 
 
 def write_hand(hand: Hand, path: str | Path) -> None:
-    """Writes a hand description that `read_hand` reads back equal.
+    """Writes a hand description that `read_hand` reads back equal, and beside it what it looks like (`surfaces_file`).
 
     Args:
         hand: The hand.
@@ -69,9 +71,27 @@ def write_hand(hand: Hand, path: str | Path) -> None:
         HandFileError: The file cannot be written.
     """
     try:
+        looks = surfaces_file(Path(path))
+        if any(link.surfaces for link in hand.links):
+            write_surfaces({link.name: link.surfaces for link in hand.links}, looks)
+        else:
+            # One of an earlier hand would be taken for this one's.
+            looks.unlink(missing_ok=True)
         Path(path).write_text(hand_text(hand), encoding="utf-8")
     except OSError as error:
         raise HandFileError(f"{path}: the file cannot be written ({error}); give a writable path") from error
+
+
+def surfaces_file(path: Path) -> Path:
+    """The file beside a hand's file, NAME.looks.glb for NAME.yaml, that holds surfaces to draw; there may be none."""
+    return path.with_suffix(".looks.glb")
+
+
+def _with_surfaces(hand: Hand, file: Path) -> Hand:
+    if not file.is_file():
+        return hand
+    surfaces = read_surfaces(file)
+    return replace(hand, links=tuple(replace(link, surfaces=surfaces.get(link.name, ())) for link in hand.links))
 
 
 def hand_text(hand: Hand) -> str:

@@ -23,7 +23,8 @@ from xdex_drake.hand.importing.model import FileModel
 from xdex_drake.hand.importing.sdformat import read_sdf
 from xdex_drake.hand.importing.urdf import read_urdf
 from xdex_drake.hand.importing.xml_file import read_xml
-from xdex_drake.hand.yaml_file import hand_text, read_hand
+from xdex_drake.hand.surface import write_surfaces
+from xdex_drake.hand.yaml_file import hand_text, read_hand, surfaces_file
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
 RECIPE = 5  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
@@ -144,6 +145,9 @@ def load_imported_hand(path: str | Path) -> Hand:
     except HandFileError:
         file.unlink(missing_ok=True)  # Damaged: import again.
     hand = interpret(model, name=name).hand
+    surfaces = {link.name: link.surfaces for link in hand.links if link.surfaces}
+    if surfaces:
+        write_cache_file(surfaces_file(file), lambda path: write_surfaces(surfaces, path))
     write_cache_file(file, lambda path: path.write_text(hand_text(hand), encoding="utf-8"))
     # What comes from the file is the same to the last bit in the first run and in later ones.
     return read_hand(file) if file.is_file() else hand

@@ -17,6 +17,7 @@ from xdex_drake.hand.importing.finger_names import side_from_names
 from xdex_drake.hand.importing.loops import close_loops
 from xdex_drake.hand.importing.mass import body_inertias, joint_efforts
 from xdex_drake.hand.importing.model import FileLink, FileModel
+from xdex_drake.hand.importing.painted import with_surfaces
 from xdex_drake.hand.importing.palm import Chain, find_chains, find_hand
 from xdex_drake.hand.importing.rest import rest_posture
 from xdex_drake.hand.importing.shape import link_shapes, surface_points, without_markers
@@ -125,6 +126,7 @@ def interpret(model: FileModel, *, name: str, side: str | None = None, palm: str
     _say_narrow(hand, decisions)
     _say_crowded(hand, anatomy, decisions)
     _check_written(model, hand)
+    hand = with_surfaces(hand, tree)
     frames = {
         member.link.name: FileFrame(link.name, member.X_LF)
         for link, body in zip(hand.links, tree.members, strict=True)

@@ -28,6 +28,7 @@ from xdex_drake.hand.importing.model import (
     FileMimic,
     FileModel,
     TriangleMesh,
+    color_of,
 )
 from xdex_drake.hand.importing.tree import as_one_tree, check_mimics
 from xdex_drake.hand.importing.xml_file import MAX_BYTES, MAX_ELEMENTS, Element, Place, check_names, read_xml
@@ -210,6 +211,7 @@ class _Reader:
         for element in root.findall("default"):
             self._read_defaults(element, "main", "main")
         self.assets = {name: place for name, place in self._assets()}
+        self.materials = {element.get("name", ""): element for element in self.root.iter("material")}
         self.bodies: list[_Body] = []
         self.joints: list[FileJoint] = []
         self.refs: dict[str, float] = {}
@@ -458,10 +460,18 @@ class _Reader:
             return
         bits = int(place.number("contype", 1.0)), int(place.number("conaffinity", 1.0))
         if bits == (0, 0):
-            body.visual.append(shape)
+            body.visual.append(self._painted(shape, place))
         else:
             body.collision.append(shape)
             body.bits.add(bits)
+
+    def _painted(self, shape: FileGeometry, place: Place) -> FileGeometry:
+        """A mesh with the color of its geom or of the geom's material."""
+        if not isinstance(shape, TriangleMesh):
+            return shape
+        material = self.materials.get(place.element.get("material", ""))
+        rgba = place.element.get("rgba") or (material.get("rgba", "") if material is not None else "")
+        return replace(shape, color=color_of(rgba))
 
     def _shape(self, place: Place, X_LF: Pose) -> FileGeometry | None:
         kind = place.element.get("type", "sphere")

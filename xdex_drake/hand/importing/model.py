@@ -53,25 +53,38 @@ class TriangleMesh:
         vertices: Corners in L [m], shape (n, 3), the file's scale already applied.
         faces: Corner indices, shape (m, 3).
         source: The file it came from, for messages.
+        color: Red, green, blue, where the robot file gives one.
     """
 
     vertices: Array
     faces: NDArray[np.int64]
     source: str = ""
+    color: tuple[float, float, float] | None = None
 
     def moved(self, R: Array, p: Array) -> "TriangleMesh":
         """See `shapes.Shape.moved`."""
-        return TriangleMesh(self.vertices @ R.T + p, self.faces, self.source)
+        return TriangleMesh(self.vertices @ R.T + p, self.faces, self.source, self.color)
 
     def scaled(self, factor: float) -> "TriangleMesh":
         """See `shapes.Shape.scaled`."""
-        return TriangleMesh(factor * self.vertices, self.faces, self.source)
+        return TriangleMesh(factor * self.vertices, self.faces, self.source, self.color)
 
     def corners(self) -> Array:
         """See `shapes.Shape.corners`: all vertices that belong to a triangle."""
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces.ravel()] = True  # faster than sorting the faces
         return self.vertices[used]
+
+
+def color_of(text: str) -> tuple[float, float, float] | None:
+    """A color from the text of an rgba attribute; None where it is none."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return None
+    if len(values) < 3 or not all(0.0 <= value <= 1.0 for value in values):
+        return None
+    return values[0], values[1], values[2]
 
 
 FileGeometry = Sphere | Capsule | Box | Cylinder | TriangleMesh

@@ -1,5 +1,6 @@
 """Reads URDF files: links, joints, mimic laws, meshes; nothing is decided here."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from xdex_drake.hand.importing.model import (
     FileLink,
     FileMimic,
     FileModel,
+    TriangleMesh,
+    color_of,
 )
 from xdex_drake.hand.importing.tree import as_one_tree, check_mimics
 from xdex_drake.hand.importing.xml_file import Element, Place, check_names, read_xml
@@ -54,7 +57,8 @@ def read_urdf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     if not links:
         raise HandFileError(f"{path}: has no links; give {WHAT}")
     meshes = MeshFiles(path, allowed)
-    file_links = tuple(_link(name, place, meshes, notes) for name, place in links.items())
+    palette = _palette(root)
+    file_links = tuple(_link(name, place, meshes, notes, palette) for name, place in links.items())
     file_joints = tuple(
         joint for name, place in joints.items() if (joint := _joint(name, place, links, notes)) is not None
     )
@@ -115,7 +119,27 @@ def _pose(place: Place | None) -> tuple[Array, Array]:
     return rpy_matrix(place.numbers("rpy", 3, np.zeros(3))), place.numbers("xyz", 3, np.zeros(3))
 
 
-def _link(name: str, place: Place, meshes: MeshFiles, notes: list[str]) -> FileLink:
+def _palette(root: Element) -> dict[str, Element]:
+    """The `<color>` of each material that has a name."""
+    colors = {}
+    for material in root.iter("material"):
+        color = material.find("color")
+        if color is not None and (name := material.get("name")):
+            colors[name] = color
+    return colors
+
+
+def _color(part: Place, palette: dict[str, Element]) -> tuple[float, float, float] | None:
+    """Color of a shape: its material's own, or the one that its name stands for; None where there is none."""
+    material = part.element.find("material")
+    if material is None:
+        return None
+    color = material.find("color")
+    color = palette.get(material.get("name", "")) if color is None else color
+    return None if color is None else color_of(color.get("rgba", ""))
+
+
+def _link(name: str, place: Place, meshes: MeshFiles, notes: list[str], palette: dict[str, Element]) -> FileLink:
     shapes: dict[str, list[FileGeometry]] = {"visual": [], "collision": []}
     lost: dict[str, None] = {}
     for kind, mine in shapes.items():
@@ -126,6 +150,8 @@ def _link(name: str, place: Place, meshes: MeshFiles, notes: list[str]) -> FileL
             except MissingMesh as cause:
                 lost[str(cause)] = None
                 continue
+            if isinstance(shape, TriangleMesh):
+                shape = replace(shape, color=_color(part, palette))
             if shape is not None:
                 mine.append(shape)
     return FileLink(name, tuple(shapes["visual"]), tuple(shapes["collision"]), _inertia(place, notes), tuple(lost))
