@@ -1,13 +1,22 @@
 """What hands look like: surfaces that follow what touches, light enough for pages, and no part of the digest."""
 
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
+from xdex_drake.errors import HandFileError
 from xdex_drake.hand.human import human_hand
+from xdex_drake.hand.importing.files import import_hand
+from xdex_drake.hand.importing.painted import lighter
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.hand.looks import COARSE, FINE, FINGER_COLORS, METAL_COLOR, NAIL_COLOR, hand_surfaces, surface_obj
-from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.hand.mirror import mirror
+from xdex_drake.hand.variation import scale_hand
+from xdex_drake.hand.yaml_file import hand_digest, read_hand, surfaces_file, write_hand
+from xdex_drake.interchange.urdf import export_urdf
 
 NAMES = [*list_hands(), "human", "g0-0000", "g0-0002", "g0-0007"]
 
@@ -64,3 +73,72 @@ def test_an_obj_file_holds_the_surfaces() -> None:
     mesh = trimesh.load(trimesh.util.wrap_as_stream(text), file_type="obj", process=False, force="mesh")
     assert len(mesh.faces) == sum(len(s.faces) for s in surfaces)
     np.testing.assert_allclose(mesh.bounds[0], np.min([s.vertices.min(axis=0) for s in surfaces], axis=0), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory):
+    """A hand from a URDF file whose palm is drawn by a red mesh of many triangles, and the file's folder."""
+    folder = tmp_path_factory.mktemp("painted")
+    file = export_urdf(load_hand("inspire"), folder)
+    tree = ElementTree.parse(file)
+    link = next(k for k in tree.getroot().iter("link") if k.get("name") == load_hand("inspire").links[0].name)
+    palm = trimesh.creation.icosphere(subdivisions=5, radius=0.03)
+    palm.export(folder / "meshes" / "palm.stl") if (folder / "meshes").is_dir() else palm.export(folder / "palm.stl")
+    name = "meshes/palm.stl" if (folder / "meshes").is_dir() else "palm.stl"
+    for visual in link.findall("visual"):
+        link.remove(visual)
+    link.append(
+        ElementTree.fromstring(
+            f'<visual><origin xyz="0 0 0.05"/><geometry><mesh filename="{name}"/></geometry>'
+            '<material name="red"/></visual>'
+        )
+    )
+    tree.getroot().append(ElementTree.fromstring('<material name="red"><color rgba="0.9 0.1 0.2 1"/></material>'))
+    tree.write(file)
+    return import_hand(file).hand
+
+
+def test_an_imported_hand_keeps_its_meshes_and_colors(painted, tmp_path) -> None:
+    palm = painted.links[0]
+    (surface,) = palm.surfaces
+    assert surface.color == (0.9, 0.1, 0.2)
+    assert 500 < len(surface.faces) <= 2500
+    np.testing.assert_allclose(np.linalg.norm(surface.vertices - [0.0, 0.0, 0.05], axis=1), 0.03, atol=6e-4)
+    assert hand_surfaces(painted)[0] == palm.surfaces
+    # Looks are no part of what a hand is.
+    bare = replace(painted, links=tuple(replace(link, surfaces=()) for link in painted.links))
+    assert hand_digest(bare) == hand_digest(painted)
+    # They lie beside the description, and come back with it.
+    file = tmp_path / "mine.yaml"
+    write_hand(painted, file)
+    back = read_hand(file)
+    assert hand_digest(back) == hand_digest(painted)
+    again = back.links[0].surfaces[0]
+    assert again.color == pytest.approx(surface.color, abs=0.003)
+    np.testing.assert_allclose(again.vertices, surface.vertices, atol=1e-6)
+    np.testing.assert_array_equal(again.faces, surface.faces)
+    other = mirror(painted).links[0].surfaces[0]
+    np.testing.assert_allclose(other.vertices[:, 1], -surface.vertices[:, 1])
+    # What is scaled no longer looks like its file.
+    assert not scale_hand(painted, 1.1).links[0].surfaces
+    # They leave again with the description.
+    text = export_urdf(painted, tmp_path / "out").read_text()
+    assert "0.9 0.1 0.2 1" in text and (tmp_path / "out" / "meshes").is_dir()
+    # A hand without looks leaves none of another's behind.
+    write_hand(bare, file)
+    assert not surfaces_file(file).exists()
+
+
+def test_a_broken_file_of_looks_is_told(painted, tmp_path) -> None:
+    file = tmp_path / "mine.yaml"
+    write_hand(painted, file)
+    surfaces_file(file).write_bytes(b"glTF" + bytes(30))
+    with pytest.raises(HandFileError, match=r"looks\.glb.*remove"):
+        read_hand(file)
+
+
+def test_a_heavy_mesh_becomes_light_and_stays_where_it_is() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
+    vertices, faces = lighter(np.asarray(ball.vertices), np.asarray(ball.faces), most=1500)
+    assert 300 < len(faces) <= 1500
+    assert np.abs(np.linalg.norm(vertices, axis=1) - 0.02).max() < 3e-4

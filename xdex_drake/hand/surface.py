@@ -4,10 +4,13 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
@@ -52,8 +55,8 @@ def write_surfaces(surfaces: Mapping[str, Sequence[Surface]], path: Path) -> Non
         for k, surface in enumerate(drawn):
             mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_normals=surface.normals, process=False)
             color = [*(round(255 * c) for c in surface.color), 255]
-            material = trimesh.visual.material.PBRMaterial(baseColorFactor=color, metallicFactor=0.1)
-            mesh.visual = trimesh.visual.TextureVisuals(material=material)
+            material = PBRMaterial(baseColorFactor=color, metallicFactor=0.1)
+            mesh.visual = TextureVisuals(material=material)
             # Names of meshes may change on the way; this entry does not.
             mesh.metadata = {"link": link}
             scene.add_geometry(mesh, node_name=f"{link}_{k}", geom_name=f"{link}_{k}")
@@ -83,7 +86,7 @@ def read_surfaces(path: Path) -> dict[str, tuple[Surface, ...]]:
         for mesh in scene.geometry.values():
             if not isinstance(mesh, trimesh.Trimesh) or "link" not in mesh.metadata:
                 continue
-            factor = np.asarray(mesh.visual.material.baseColorFactor, dtype=float)[:3] / 255.0
+            factor = np.asarray(cast(Any, mesh.visual).material.baseColorFactor, dtype=float)[:3] / 255.0
             color = (float(factor[0]), float(factor[1]), float(factor[2]))
             surface = Surface(
                 np.array(mesh.vertices, dtype=float),

@@ -9,6 +9,7 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.collision import ignored_pairs
 from xdex_drake.hand.description import Box, Convex, Geometry, Hand, Joint, Link, Sphere
+from xdex_drake.hand.looks import surface_obj
 from xdex_drake.interchange.parts import file_name, hull_obj, marked_frames, number, numbers
 
 VELOCITY = 10.0
@@ -100,10 +101,17 @@ def _add_link(robot: Element, link: Link, meshes: dict[str, str]) -> None:
             name = f"{file_name(link.name)}_{k}.obj"
             meshes[name] = hull_obj(attributes.vertices)
             attributes = {"filename": f"meshes/{name}"}
-        for role in ("visual", "collision"):
+        for role in ("collision",) if link.surfaces else ("visual", "collision"):
             entry = SubElement(element, role, {"name": f"{link.name}_{role}_{k}"})
             _add_origin(entry, p, R)
             SubElement(SubElement(entry, "geometry"), kind, attributes)
+    for k, surface in enumerate(link.surfaces):
+        name = f"{file_name(link.name)}_look_{k}.obj"
+        meshes[name] = surface_obj([surface])
+        entry = SubElement(element, "visual", {"name": f"{link.name}_visual_{k}"})
+        SubElement(SubElement(entry, "geometry"), "mesh", {"filename": f"meshes/{name}"})
+        material = SubElement(entry, "material", {"name": f"{link.name}_color_{k}"})
+        SubElement(material, "color", {"rgba": numbers(np.array([*surface.color, 1.0]))})
 
 
 def simple_parts(shape: Geometry) -> list[tuple[str, dict[str, str] | Convex, Array, Array | None]]:

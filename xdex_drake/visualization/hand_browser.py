@@ -147,6 +147,10 @@ _CONTROLS = """
 #xdex-joints label { display: grid; grid-template-columns: 1fr auto; margin-bottom: 4px; }
 #xdex-joints input { grid-column: 1 / 3; width: 100%; margin: 0; }
 #xdex-joints span { overflow-wrap: anywhere; }
+#xdex-hands .switches { margin-bottom: 8px; }
+#xdex-hands .switches label { display: inline-block; margin-right: 12px; }
+@media (max-width: 720px) { #xdex-hands { top: auto; right: 12px; width: auto; height: 44vh; }
+  #xdex-hands dl { display: none; } }
 #xdex-joints output { color: #5c6675; }
 </style>
 <div id="xdex-hands">
@@ -260,6 +264,21 @@ _CONTROLS = """
       set(values);
     }, 40);
   });
+  // The switches of the page stand among the controls.
+  const card = at("xdex-card");
+  if (card) {
+    at("xdex-hands").insertBefore(card.querySelector(".switches"), at("xdex-joints"));
+    card.remove();
+  }
+  // Where the controls are below, the hand is seen above them.
+  function place() {
+    const w = window.innerWidth, h = window.innerHeight;
+    if (w > 720) viewer.camera.clearViewOffset();
+    else viewer.camera.setViewOffset(w, h, 0.1 * w, 0.2 * h, w, h);
+    viewer.set_dirty();
+  }
+  window.addEventListener("resize", place);
+  [120, 520, 1520].forEach(wait => setTimeout(place, wait));
   show(0);
 })();
 </script>

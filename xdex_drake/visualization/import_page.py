@@ -113,8 +113,7 @@ _PANEL = """
 #xdex-import li.warning b { color: #b3261e; }
 #xdex-import li.mended b { color: #8a5a00; }
 #xdex-import li.decided b { color: #2f6b3a; }
-@media (max-width: 720px) { #xdex-import { top: auto; bottom: 12px; left: 12px; right: 12px; width: auto;
-  max-height: 38vh; } }
+@media (max-width: 720px) { #xdex-import { left: 12px; width: auto; max-height: 46vh; } }
 </style>
 <div id="xdex-import">
   <details open><summary><h2>What was decided</h2></summary>
