@@ -40,7 +40,7 @@ def rows_of_object(mesh: str, hand_name: str, protocol_name: str, count: int, bu
     from xdex_drake.simulation.protocol import find_protocol, protocol_scene
 
     start = time.process_time()
-    hand, protocol = load_hand(hand_name), find_protocol(protocol_name)
+    hand, protocol = load_hand(hand_name), find_protocol(protocol_name).grip
     scene = protocol_scene(make_scene(load_object(mesh)), protocol)
     _ = scene.object.grid, scene.object.exact
     rig = lift_rig(hand, scene, protocol=protocol)

@@ -36,7 +36,7 @@ def relift(path: Path) -> Iterator[tuple[object, ...]]:
         lift = None
         if certified:
             hand_of(row["hand"])
-            lift = simulate_lift(rig_of(row["hand"], compact.header.scene, find_protocol(row["protocol"])), grasp)
+            lift = simulate_lift(rig_of(row["hand"], compact.header.scene, find_protocol(row["protocol"]).grip), grasp)
         held = None if lift is None or lift.hold is None else lift.hold.holds
         success = lift is not None and lift.success
         yield (

@@ -13,7 +13,22 @@ from xdex_drake.hand.library import load_hand
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 from xdex_drake.simulation.drake import lift, lift_rig, simulate_lift
-from xdex_drake.simulation.protocol import BENCH_LIFT, FROGGER_LIFT, LIFT, PROTOCOLS, find_protocol, protocol_scene
+from xdex_drake.simulation.protocol import (
+    BENCH_FC,
+    BENCH_LIFT,
+    FROGGER_LIFT,
+    GRAV_6_ALL,
+    GRAV_6_ANY,
+    LIFT,
+    LIFT_05,
+    PROTOCOLS,
+    PUSH_6_WEAK,
+    SHAKE_6,
+    PushProtocol,
+    find_protocol,
+    protocol_scene,
+)
+from xdex_drake.simulation.pushes import between_fractions, closing_senses, dipped, from_afar
 from xdex_drake.simulation.robust import RobustSettings, displaced, robust_lift
 from xdex_drake.simulation.trajectory import targets
 from xdex_drake.simulation.verdict import FAILURE_REASONS
@@ -37,7 +52,10 @@ def grasps(hand, scene):
 
 def test_protocols_are_found_by_name():
     assert find_protocol("lift-0.2/2tips") is LIFT
-    assert list(PROTOCOLS) == ["lift-0.2/2tips", "hold", "frogger-lift", "bench-lift"]
+    assert list(PROTOCOLS)[:5] == ["lift-0.2/2tips", "hold", "frogger-lift", "bench-lift", "lift-0.5-like"]
+    without_weight = ["bench-fc", "push-6-weak", "grav-6-all", "grav-6-any", "shake-6-like"]
+    assert [name for name, protocol in PROTOCOLS.items() if isinstance(protocol, PushProtocol)] == without_weight
+    assert all(protocol.differs for name, protocol in PROTOCOLS.items() if name not in (LIFT.name, "hold"))
     with pytest.raises(ConfigError, match="did you mean bench-lift"):
         find_protocol("bench-lft")
     with pytest.raises(ConfigError, match="use one of"):
@@ -130,3 +148,70 @@ def test_a_robust_lift_is_no_easier_and_repeats(grasps, hand, scene):
     assert exact.lift.success == lift(grasps[0], hand, scene).success
     feeble = robust_lift(grasps[0], hand, scene, settings=replace(none, friction_factor=0.05))
     assert not feeble.slippery.success and not feeble.lift.success
+
+
+def test_published_numbers_of_pushes():
+    assert PUSH_6_WEAK.grip.density == 500.0 and PUSH_6_WEAK.grip.friction == 3.0 and PUSH_6_WEAK.max_shift_m == 0.02
+    assert PUSH_6_WEAK.grip.plant.kp == 1000.0 and PUSH_6_WEAK.grip.plant.kd == 200.0
+    assert not PUSH_6_WEAK.reset and PUSH_6_WEAK.only_end and PUSH_6_WEAK.max_turn_rad is None
+    # They cancel in pairs, which a drift out and back passes.
+    np.testing.assert_allclose(np.sum(PUSH_6_WEAK.accelerations, axis=0), 0.0)
+    assert set(np.linalg.norm(PUSH_6_WEAK.accelerations, axis=1)) == {0.5}
+    assert GRAV_6_ALL.push_s == pytest.approx(100 / 60) and GRAV_6_ALL.grip.plant.kd == 0.0 and GRAV_6_ALL.contact
+    assert (GRAV_6_ALL.needed, GRAV_6_ANY.needed) == (6, 1) and GRAV_6_ANY.max_depth_m == 5e-3
+    assert BENCH_FC.push_s == 2.0 and BENCH_FC.grip.plant.kp == 5.0 and BENCH_FC.grip.mass_kg == 0.1
+    assert SHAKE_6.max_shift_m == 0.02 and LIFT_05.rise_m == 0.5 and LIFT_05.start_offset_H == (-0.03, 0.0, -0.03)
+
+
+def test_a_firm_grasp_passes_and_a_far_one_does_not(hand, scene, grasps):
+    shift = RigidTransform([0.0, 0.0, 0.15])
+    far = replace(grasps[0], X_WH=shift @ grasps[0].X_WH, X_WH_pregrasp=shift @ grasps[0].X_WH_pregrasp)
+    for protocol in (GRAV_6_ANY, SHAKE_6):
+        verdict = lift(grasps[0], hand, scene, protocol=protocol)
+        assert verdict.success and verdict.protocol == protocol.name, (protocol.name, verdict.failure_reason)
+    # Closing by fractions of the joints' ranges shoves some objects out of the hand.
+    assert any(lift(grasp, hand, scene, protocol=PUSH_6_WEAK).success for grasp in grasps)
+    # Nothing holds it: it drifts under the first push, and contact is lost.
+    assert lift(far, hand, scene, protocol=SHAKE_6).failure_reason == "slipped:+x"
+    assert lift(far, hand, scene, protocol=GRAV_6_ALL).failure_reason == "lost:-y"
+    assert not lift(far, hand, scene, protocol=PUSH_6_WEAK).success
+
+
+def test_a_free_object_moves_as_newton_has_it(hand, scene, grasps):
+    shift = RigidTransform([0.0, 0.0, 0.15])
+    far = replace(grasps[0], X_WH=shift @ grasps[0].X_WH, X_WH_pregrasp=shift @ grasps[0].X_WH_pregrasp)
+    bound = 0.5 * 0.4 * 0.3**2
+    gentle = replace(SHAKE_6, accelerations=((0.4, 0.0, 0.0),), push_s=0.3)
+    assert lift(far, hand, scene, protocol=replace(gentle, max_shift_m=1.03 * bound)).success
+    assert not lift(far, hand, scene, protocol=replace(gentle, max_shift_m=0.97 * bound)).success
+
+
+def test_a_deep_grasp_is_refused_where_penetration_counts(hand, scene, grasps):
+    toward = grasps[0].X_WO.translation() - grasps[0].X_WH.translation()
+    shift = RigidTransform(0.03 * toward / np.linalg.norm(toward))
+    deep = replace(grasps[0], X_WH=shift @ grasps[0].X_WH)
+    assert lift(deep, hand, scene, protocol=GRAV_6_ANY).failure_reason == "penetrating"
+
+
+def test_closings(hand, scene, grasps):
+    grasp = grasps[0]
+    low, high = hand.limits
+    sense = closing_senses(hand, grasp, scene)
+    assert np.count_nonzero(sense) > 0 and set(sense) <= {-1.0, 0.0, 1.0}
+    # Flexing closes: the joints next to the tips of fingers that touch.
+    touching = {contact.link for contact in grasp.certificate.contacts}
+    for finger in hand.fingers:
+        if finger.tip_link in touching and finger.name != "thumb":
+            last = hand.joint_names.index(next(j.name for j in hand.joints if j.child == finger.tip_link))
+            assert sense[last] == 1.0
+    between = between_fractions(grasp, hand, scene)
+    moved = sense > 0.0
+    np.testing.assert_allclose(between.q_pregrasp[moved], (grasp.q + 0.25 * (low - grasp.q))[moved])
+    np.testing.assert_allclose(between.q[moved], (grasp.q + 0.15 * (high - grasp.q))[moved])
+    np.testing.assert_array_equal(between.q[sense == 0.0], grasp.q[sense == 0.0])
+    dip = dipped(grasp, hand, scene)
+    assert 0.0 < np.abs(dip.q - grasp.q).max() < 0.3 and np.array_equal(dip.q, dip.q_pregrasp)
+    afar = from_afar(grasp, hand, np.array([-0.03, 0.0, -0.03]))
+    np.testing.assert_allclose(
+        (grasp.X_WH.inverse() @ afar.X_WH_pregrasp).translation(), [-0.03, 0.0, -0.03], atol=1e-12
+    )

@@ -258,7 +258,8 @@ class LiftCommand:
     Attributes:
         file: A file of grasps with pre-grasp and squeeze.
         simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. May be given twice.
-        protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift or bench-lift.
+        protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift, bench-lift or lift-0.5-like; without weight
+            bench-fc, push-6-weak, grav-6-all, grav-6-any or shake-6-like.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
@@ -281,11 +282,13 @@ class LiftCommand:
         from xdex_drake.errors import ConfigError
         from xdex_drake.jobs.stored import lift_all, lift_units
         from xdex_drake.simulation.mujoco import mujoco_module
-        from xdex_drake.simulation.protocol import find_protocol
+        from xdex_drake.simulation.protocol import LiftProtocol, find_protocol
 
         protocol = find_protocol(self.protocol)
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
+        if self.robust and not isinstance(protocol, LiftProtocol):
+            raise ConfigError(f"--robust repeats lifts, and {protocol.name} is none; leave one of them out")
         stored = _grasps_of(self.file)
         unready = [item.grasp.grasp_id for item in stored if item.grasp.tau_squeeze is None]
         if unready:

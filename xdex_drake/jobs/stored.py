@@ -174,12 +174,12 @@ def run_lift(unit: LiftUnit) -> Lift:
     Returns:
         The verdict.
     """
-    from xdex_drake.simulation.protocol import find_protocol
+    from xdex_drake.simulation.protocol import LiftProtocol, find_protocol
     from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
     hand, scene, protocol = hand_of(unit.hand), scene_of(unit.scene), find_protocol(unit.protocol)
     lift = importlib.import_module(SIMULATORS[unit.simulator]).lift
-    if unit.robust:
+    if unit.robust and isinstance(protocol, LiftProtocol):
         settings = RobustSettings(repeats=unit.robust)
         return robust_lift(unit.grasp, hand, scene, protocol=protocol, settings=settings, lift=lift).lift
     return lift(unit.grasp, hand, scene, protocol=protocol)

@@ -22,7 +22,8 @@ from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import ScenePlant, build_plant, simulator_of
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.protocol import LIFT, AnyProtocol, LiftProtocol, protocol_scene
+from xdex_drake.simulation.pushes import play
 from xdex_drake.simulation.shared import shared
 from xdex_drake.simulation.trajectory import retreat, squeezed, targets
 from xdex_drake.simulation.verdict import Touch, play_lift
@@ -287,16 +288,16 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     return play_lift(rig, grasp)
 
 
-def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Lift:
-    """Lifts one grasp on the shared rig of its hand and scene; see `simulate_lift`.
+def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol = LIFT) -> Lift:
+    """Judges one grasp on the shared rig of its hand and scene; see `simulation.pushes.play`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol.
+        protocol: The protocol: a lift, or pushes without weight.
 
     Returns:
         The verdict.
     """
-    return simulate_lift(shared_rig(hand, scene, protocol=protocol), grasp)
+    return play(shared_rig(hand, scene, protocol=protocol.grip), grasp, protocol)

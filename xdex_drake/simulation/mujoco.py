@@ -21,7 +21,8 @@ from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, ModelFile, body_name
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.protocol import LIFT, AnyProtocol, LiftProtocol, protocol_scene
+from xdex_drake.simulation.pushes import play
 from xdex_drake.simulation.scenes import lift_scene
 from xdex_drake.simulation.shared import shared
 from xdex_drake.simulation.trajectory import target_rates, targets
@@ -238,23 +239,25 @@ def simulate_lift(rig: MujocoRig, grasp: Grasp) -> Lift:
     return replace(verdict, protocol=f"mujoco:{verdict.protocol}")
 
 
-def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Lift:
-    """Lifts one grasp in MuJoCo, on the shared rig of its hand and scene; see `simulate_lift`.
+def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol = LIFT) -> Lift:
+    """Judges one grasp in MuJoCo, on the shared rig of its hand and scene; see `simulation.pushes.play`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol.
+        protocol: The protocol: a lift, or pushes without weight.
 
     Returns:
-        The verdict.
+        The verdict; its protocol is `mujoco:` and the protocol's name.
 
     Raises:
         MissingExtra: MuJoCo is not installed.
     """
-    rig = shared(lambda: mujoco_rig(hand, scene, protocol=protocol), "mujoco", hand, scene, protocol)
-    return simulate_lift(rig, grasp)
+    grip = protocol.grip
+    rig = shared(lambda: mujoco_rig(hand, scene, protocol=grip), "mujoco", hand, scene, grip)
+    verdict = play(rig, grasp, protocol)
+    return replace(verdict, protocol=f"mujoco:{verdict.protocol}")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import difflib
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -81,6 +82,9 @@ class LiftProtocol:
         max_height_error_m: Greatest difference of the object's rise from the wrist's [m], None for any.
         max_shift_m: Greatest distance of the object from where the rise should have carried it [m], None for any.
         max_turn_rad: Greatest turn of the object [rad], None for any.
+        start_offset_H: Way from the grasp's wrist position to where the wrist starts, in H [m], with stretched fingers,
+            None for the grasp's own pre-grasp; see `pushes.from_afar`.
+        off_table_m: Least height of the object's lowest point at the end [m], None for any.
         hold: What comes after the lift, None for nothing; it has a verdict of its own.
         differs: How a peers' protocol differs here from the one that was published, in words.
     """
@@ -104,8 +108,15 @@ class LiftProtocol:
     max_height_error_m: float | None = None
     max_shift_m: float | None = None
     max_turn_rad: float | None = None
+    start_offset_H: tuple[float, float, float] | None = None
+    off_table_m: float | None = None
     hold: HoldTest | None = None
     differs: str = ""
+
+    @property
+    def grip(self) -> "LiftProtocol":
+        """The protocol of the rig that plays this: itself."""
+        return self
 
     @property
     def duration_s(self) -> float:
@@ -161,11 +172,180 @@ BENCH_LIFT = LiftProtocol(
 HOLD = replace(LIFT, name="hold", cpu_limit_s=60.0, hold=HoldTest())
 """The lift of `LIFT`, then two seconds of holding and six pushes of the object's weight."""
 
-PROTOCOLS = {protocol.name: protocol for protocol in (LIFT, HOLD, FROGGER_LIFT, BENCH_LIFT)}
+LIFT_05 = LiftProtocol(
+    name="lift-0.5-like",
+    plant=PlantSettings(time_step=0.002),
+    close_s=0.5,
+    rise_s=1.0,
+    rise_m=0.5,
+    success_m=0.0,
+    fingertips=0,
+    cpu_limit_s=60.0,
+    start_offset_H=(-0.03, 0.0, -0.03),
+    off_table_m=1e-3,
+    differs="simulated by Drake instead of MuJoCo; the hand is the given one, on slides that do not turn, instead of a "
+    "MANO hand of 0.4 kg on a ball joint; the thumb starts as at the pre-grasp instead of turned by 1 rad; the squeeze "
+    "applies the certificate's forces instead of a little extra flexion; friction, mass, gains and times are not "
+    "published: they are the library's, 0.5 s for the way and 1 s for the rise",
+)
+"""The lift of HUG-Bench: from 3 cm backwards and 3 cm dorsal of the grasp, half a metre straight up."""
+
+
+@dataclass(frozen=True)
+class PushProtocol:
+    """A closed hand and an object far from any table and without weight, which is then accelerated.
+
+    Attributes:
+        name: Name under which results are published.
+        grip: Physics, and the times in which the hand closes and squeezes.
+        closing: Where the joints start and are sent: `squeeze`, from the pre-grasp over the grasp to its squeeze;
+            `fractions`, from the grasp opened by 0.25 of each joint's way to its limit to the grasp closed by 0.15 of
+            it; `dip`, at a posture whose contacts are 1 mm deep, from the begin.
+        accelerations: Accelerations of the object, one after the other [m/s^2].
+        push_s: Duration of each [s].
+        reset: Whether each starts from the state after closing.
+        only_end: Whether the bounds count at the end of the last one alone.
+        from_start: Whether shift and turn count from the object's pose before the hand closes.
+        max_shift_m: Greatest distance of the center of mass from where it was [m], None for any.
+        max_turn_rad: Greatest turn [rad], None for any.
+        contact: Whether hand and object must touch at the end of each.
+        needed: How many of them the hand must pass.
+        max_depth_m: Greatest depth of an object point in the hand at the grasp [m], None for any.
+        max_depth_sum_m: Greatest sum of the depths of 2,048 object points [m], None for any.
+        differs: How it differs from the one that was published, in words.
+    """
+
+    name: str
+    grip: LiftProtocol
+    closing: Literal["squeeze", "fractions", "dip"]
+    accelerations: tuple[tuple[float, float, float], ...]
+    push_s: float
+    reset: bool = True
+    only_end: bool = False
+    from_start: bool = False
+    max_shift_m: float | None = None
+    max_turn_rad: float | None = None
+    contact: bool = False
+    needed: int = 6
+    max_depth_m: float | None = None
+    max_depth_sum_m: float | None = None
+    differs: str = ""
+
+    @property
+    def hold(self) -> None:
+        """Nothing comes after."""
+        return None
+
+
+AnyProtocol = LiftProtocol | PushProtocol
+
+
+def _six(size: float, order: str) -> tuple[tuple[float, float, float], ...]:
+    """Accelerations along axes in an order such as `+x -x`."""
+    signs = [(1.0 if word[0] == "+" else -1.0, "xyz".index(word[1])) for word in order.split()]
+    return tuple(tuple(sign * size if k == axis else 0.0 for k in range(3)) for sign, axis in signs)  # type: ignore[misc]
+
+
+def _grip(name: str, plant: PlantSettings, close_s: float, squeeze_s: float) -> LiftProtocol:
+    """How a hand closes that does not rise."""
+    return LiftProtocol(
+        name=name,
+        plant=plant,
+        close_s=close_s,
+        squeeze_s=squeeze_s,
+        rise_s=0.01,
+        hold_s=0.0,
+        rise_m=0.0,
+        ramp="linear",
+        cpu_limit_s=60.0,
+    )
+
+
+_RIGID = PlantSettings(time_step=0.005, friction=3.0, kp=1000.0, kd=200.0, carriage_kp=1000.0, carriage_kd=200.0)
+
+PUSH_6_WEAK = PushProtocol(
+    name="push-6-weak",
+    grip=replace(_grip("push-6-weak", _RIGID, 1.0, 0.01), density=500.0, friction=3.0),
+    closing="fractions",
+    accelerations=_six(0.5, "+x +y +z -x -y -z"),
+    push_s=1.0,
+    reset=False,
+    only_end=True,
+    max_shift_m=0.02,
+    differs="simulated by Drake instead of PhysX; joints open away from the object's center and close towards it by "
+    "the motion of their own fingertip instead of link directions drawn by hand; targets move linearly within the "
+    "second of closing instead of by one step; the wrist rides on three slides with the fingers' gains instead of six "
+    "joints; no penetration at the open posture is filtered out",
+)
+"""The validation of D(R,O) and T(R,O): six pushes of 0.5 m/s^2 that cancel in pairs, no reset, judged at the end."""
+
+_GRAVITY = PlantSettings(time_step=1.0 / 120.0, friction=3.0, kp=1000.0, kd=0.0)
+
+GRAV_6_ALL = PushProtocol(
+    name="grav-6-all",
+    grip=replace(_grip("grav-6", _GRAVITY, 0.01, 0.01), density=500.0, friction=3.0),
+    closing="dip",
+    accelerations=_six(9.8, "-y +y +x -x -z +z"),
+    push_s=100.0 / 60.0,
+    contact=True,
+    max_depth_sum_m=1e-3,
+    differs="simulated by Drake instead of PhysX; links within 1 mm are sent 1 mm further in by least squares instead "
+    "of by one gradient step; the object is weightless for the first 0.02 s; 2,048 points of the mesh tell the "
+    "penetration",
+)
+"""The validation of DexGraspNet: gravity from six sides, contact must remain under each."""
+
+GRAV_6_ANY = replace(
+    GRAV_6_ALL,
+    name="grav-6-any",
+    needed=1,
+    max_depth_m=5e-3,
+    max_depth_sum_m=None,
+)
+"""The rule of UGG: contact remains under at least one of the six, and no point is deeper than 5 mm."""
+
+SHAKE_6 = PushProtocol(
+    name="shake-6-like",
+    grip=_grip("shake-6-like", PlantSettings(), 0.3, 0.4),
+    closing="squeeze",
+    accelerations=_six(9.81, "+x -x +y -y +z -z"),
+    push_s=1.0,
+    max_shift_m=0.02,
+    differs="size and duration of the loads, gains and friction are not published: they are 1 g for 1 s, and the "
+    "library's; studies/protocols sweeps them",
+)
+"""The shaking of EquiDexFlow: inertial loads along both senses of three axes, drift below 2 cm under each."""
+
+BENCH_FC = PushProtocol(
+    name="bench-fc",
+    grip=replace(
+        _grip("bench-fc", PlantSettings(time_step=0.004, kp=5.0), 0.4, 0.4),
+        mass_kg=0.1,
+        friction=0.6,
+        start_depth_m=0.01,
+    ),
+    closing="squeeze",
+    accelerations=_six(10.0, "-x +x -y +y -z +z"),
+    push_s=2.0,
+    from_start=True,
+    max_shift_m=0.05,
+    max_turn_rad=float(np.deg2rad(15.0)),
+    differs="simulated by Drake instead of MuJoCo, without torsional friction (0.02 m there); targets move without "
+    "steps; the squeeze applies the certificate's forces",
+)
+"""The force-closure test of DexGraspBench, main branch: six pushes of 10 m/s^2 for two seconds."""
+
+PROTOCOLS: dict[str, AnyProtocol] = {
+    protocol.name: protocol
+    for protocol in (
+        *(LIFT, HOLD, FROGGER_LIFT, BENCH_LIFT, LIFT_05),
+        *(BENCH_FC, PUSH_6_WEAK, GRAV_6_ALL, GRAV_6_ANY, SHAKE_6),
+    )
+}
 """The protocols by their names."""
 
 
-def find_protocol(name: str) -> LiftProtocol:
+def find_protocol(name: str) -> AnyProtocol:
     """A protocol by its name.
 
     Args:

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from pydrake.math import RigidTransform
 
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.belonging import check_belonging, check_liftable
 from xdex_drake.simulation.hold import NOT_LIFTED, Grip, Pusher, play_hold
-from xdex_drake.simulation.protocol import LiftProtocol
 
 _log = logging.getLogger(__name__)
 
@@ -125,7 +123,7 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
     touched = player.touching().object_links
     hand = player.hand
     tips = tuple(f.name for f in hand.fingers if hand.link_index[f.tip_link] in touched)
-    missed = _missed(protocol, grasp, rise, player.X_WO(), tips)
+    missed = _missed(player, grasp, rise, tips)
     if missed and hit_table:
         missed = "table_collision"
     elif missed and not after_squeeze.object_links:
@@ -138,14 +136,17 @@ def _center_height(player: Player) -> float:
     return float((player.X_WO() @ player.scene.object.p_OOcm)[2])
 
 
-def _missed(protocol: LiftProtocol, grasp: Grasp, rise: float, X_WO: RigidTransform, tips: tuple[str, ...]) -> str:
+def _missed(player: Player, grasp: Grasp, rise: float, tips: tuple[str, ...]) -> str:
     """The first bound of a protocol that the end of a lift does not meet; empty where all are met."""
+    protocol, X_WO = player.protocol, player.X_WO()
     slipped = rise < protocol.success_m
     if protocol.max_height_error_m is not None:
         slipped = slipped or abs(rise - protocol.rise_m) >= protocol.max_height_error_m
     if protocol.max_shift_m is not None:
         shift = X_WO.translation() - grasp.X_WO.translation() - np.array([0.0, 0.0, protocol.rise_m])
         slipped = slipped or float(np.linalg.norm(shift)) >= protocol.max_shift_m
+    if protocol.off_table_m is not None:
+        slipped = slipped or float((X_WO @ player.scene.object.vertices.T)[2].min()) < protocol.off_table_m
     if slipped:
         return "slipped"
     if protocol.max_turn_rad is not None:
