@@ -59,6 +59,9 @@ COMMANDS: dict[str, Entry] = {
     "retarget": Entry("grasps", "Retarget", "the same grasps by other hands"),
     "follow": Entry("follow", "Follow", "a hand follows a person's: key points of a camera to joint values"),
     "lift": Entry("grasps", "LiftCommand", "lift stored grasps again"),
+    "judge": Entry(
+        "judge", "Judge", "grasps of other tools, or stored ones: certified, measured, simulated by protocols"
+    ),
     "dataset generate": Entry("datasets", "DatasetGenerate", "make a paired data set, or go on with one"),
     "dataset info": Entry("datasets", "DatasetInfoCommand", "count what a data set holds"),
     "dataset verify": Entry("datasets", "DatasetVerify", "check every row and every certificate of a data set"),
