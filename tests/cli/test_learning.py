@@ -53,6 +53,9 @@ def test_a_model_learns_from_a_data_set_as_from_its_pack(pairs, tmp_path, capsys
     assert main(["train", str(TINY), "--data", str(pairs), "--out", str(other), "--steps", "4"]) == 0
     assert (one / "model.safetensors").read_bytes() == (other / "model.safetensors").read_bytes()
     assert checkpoint_header(one)["notes"]["hands"] == ["inspire", "ability"]
+    assert main(["train", str(TINY), "--pack", str(pack), "--from", str(one), "--out", str(tmp_path / "leg")]) == 0
+    assert (tmp_path / "leg" / "model.safetensors").read_bytes() != (one / "model.safetensors").read_bytes()
+    capsys.readouterr()
     # What the weights of four steps predict is no grasp, but the command says so.
     words = ["predict", "--model", str(one), "--hand", "inspire", "--object", "can", "--count", "1", "--no-lift"]
     assert main([*words, "--out", str(tmp_path / "p.parquet")]) in (0, 1)

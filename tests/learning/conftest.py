@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform
 
 from xdex_drake.hand.description import Box, Capsule, Convex, Coupling, Finger, Hand, Joint, Link, Sphere
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.learning.features import hand_features, object_features
+from xdex_drake.learning.features import hand_features, link_frames, object_features
 from xdex_drake.learning.pack import HandFeatures, ObjectFeatures, Pack
 from xdex_drake.learning.samples import HandGrasps, make_pack
 
@@ -115,17 +115,13 @@ def make_training_set(scenes: int = 6, grasps: int = 8, seed: int = 0) -> Traini
                 R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), np.full(len(hand.joint_names), closing))
                 poses[h].append((R_WH @ R_HLs, p_HLs @ R_WH.T + p_WH, surface[k]))
     count = scenes * grasps
-    parts = tuple(
-        HandGrasps(
-            hand,
-            np.repeat(np.arange(scenes), grasps),
-            *(np.array(entry) for entry in zip(*poses[h], strict=True)),
-            np.arange(count),
-            np.zeros(count, dtype=int),
-        )
-        for h, hand in enumerate(features)
-    )
-    return TrainingSet(features, tuple(objects), parts, make_pack(objects, parts))
+    parts = []
+    for h, hand in enumerate(features):
+        R_WLs, p_WLs, p_WPoints = (np.array(entry) for entry in zip(*poses[h], strict=True))
+        frames = link_frames(hand, R_WLs, p_WLs)
+        scene = np.repeat(np.arange(scenes), grasps)
+        parts.append(HandGrasps(hand, scene, *frames, p_WPoints, np.arange(count), np.zeros(count, dtype=int)))
+    return TrainingSet(features, tuple(objects), tuple(parts), make_pack(objects, parts))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from xdex_drake.errors import DatasetError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.link_pose import link_poses_from_vectors
-from xdex_drake.learning.features import hand_features, object_point
+from xdex_drake.learning.features import hand_features, link_frames, object_point
 from xdex_drake.learning.pack import read_pack, write_pack
 from xdex_drake.learning.samples import Splits, make_pack, pack_dataset
 
@@ -65,10 +65,10 @@ def packed(hands, tmp_path):
 
 
 def _poses(pack, k, hand):
-    """Link poses of a grasp of a pack, in W."""
-    n = len(hand.links)
+    """Poses in W of the frames G of a grasp of a pack."""
+    n = len(hand_features(hand).links)
     vectors = pack.vectors[pack.first_vectors[k] : pack.first_vectors[k] + n].astype(float)
-    R, p = link_poses_from_vectors(vectors, hand_features(hand).R_HLs_zero)
+    R, p = link_poses_from_vectors(vectors, np.eye(3))
     return R, p + pack.points[k] + pack.centers[pack.scene[k]]
 
 
@@ -94,8 +94,9 @@ def test_rows_become_grasps(hands, packed):
     R_WLs, p_WLs = forward_kinematics(hands["two"], X, hands["two"].q_rest + 0.01)
     np.testing.assert_allclose(_heads(pack, 2), cloud[object_point(hands["two"], R_WLs, p_WLs, cloud)], atol=1e-7)
     R, p = _poses(pack, 2, hands["two"])
-    np.testing.assert_allclose(R, R_WLs, atol=1e-3)
-    np.testing.assert_allclose(p, p_WLs, atol=ROUNDING)
+    R_WGs, p_WGs = link_frames(hand_features(hands["two"]), R_WLs, p_WLs)
+    np.testing.assert_allclose(R, R_WGs, atol=1e-3)
+    np.testing.assert_allclose(p, p_WGs, atol=ROUNDING)
     # The cloud is centered at the center of mass.
     np.testing.assert_allclose(pack.centers[0], X_WO.multiply(FACTS.p_OOcm), atol=1e-7)
     np.testing.assert_allclose(np.linalg.norm(pack.clouds[0].astype(float), axis=1), 0.03, atol=2e-5)
@@ -109,7 +110,8 @@ def test_a_pack_keeps_what_hands_are(hands, packed):
         rows = slice(pack.first_links[h], pack.first_links[h] + pack.links[h])
         np.testing.assert_allclose(pack.link_points[rows], features.link_points, atol=1e-4)
         np.testing.assert_allclose(pack.link_normals[rows] / 127, features.link_normals, atol=4e-3)
-        np.testing.assert_allclose(pack.link_origins[rows], features.p_HLs_zero, atol=1e-7)
+        np.testing.assert_allclose(pack.link_centers[rows], features.centers, atol=1e-7)
+        np.testing.assert_allclose(pack.link_joints[rows], features.joints, atol=1e-3)
         begin = int((pack.links[:h] ** 2).sum())
         assert np.array_equal(pack.spd[begin : begin + pack.links[h] ** 2], features.spd.ravel())
         has = [pack.keypoint_names.index(k) for k in features.keypoint_names]
@@ -159,8 +161,8 @@ def test_grasps_that_do_not_fit_are_refused(training_set):
     good = training_set.grasps[0]
     for change in (
         {"scene": good.scene + 9},
-        {"p_WLs": good.p_WLs[:, :-1]},
-        {"p_WLs": np.full_like(good.p_WLs, np.nan)},
+        {"p_WGs": good.p_WGs[:, :-1]},
+        {"p_WGs": np.full_like(good.p_WGs, np.nan)},
         {"p_WPoints": np.full_like(good.p_WPoints, 1e6)},
     ):
         with pytest.raises(DatasetError, match="training pack"):

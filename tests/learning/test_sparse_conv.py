@@ -4,6 +4,12 @@ import torch
 
 from xdex_drake.learning.models.layers import SparseUNet
 from xdex_drake.learning.models.sparse_conv import SubmanifoldConv, coarsen, make_grid, mean_by_index, voxelize
+from xdex_drake.learning.protocol import Clouds
+
+
+def _cloud(points: torch.Tensor) -> Clouds:
+    normals = torch.nn.functional.normalize(points + 0.01, dim=-1)
+    return Clouds(points, normals, torch.full((len(points),), -0.03))
 
 
 def _cells(seed: int = 0) -> torch.Tensor:
@@ -50,9 +56,9 @@ def test_clouds_of_a_batch_do_not_touch():
     net = SparseUNet((8, 8), 16, 0.005).eval()
     rng = np.random.default_rng(0)
     clouds = torch.as_tensor(rng.uniform(-0.03, 0.03, (3, 100, 3)), dtype=torch.float32)
-    together = net(clouds)
+    together = net(_cloud(clouds))
     for k in range(3):
-        torch.testing.assert_close(net(clouds[k : k + 1])[0], together[k], rtol=0.0, atol=1e-5)
+        torch.testing.assert_close(net(_cloud(clouds[k : k + 1]))[0], together[k], rtol=0.0, atol=1e-5)
 
 
 def test_features_follow_a_permutation_of_the_points():
@@ -61,7 +67,7 @@ def test_features_follow_a_permutation_of_the_points():
     rng = np.random.default_rng(0)
     cloud = torch.as_tensor(rng.uniform(-0.03, 0.03, (1, 200, 3)), dtype=torch.float32)
     order = torch.as_tensor(rng.permutation(200))
-    torch.testing.assert_close(net(cloud[:, order]), net(cloud)[:, order], rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(net(_cloud(cloud[:, order])), net(_cloud(cloud))[:, order], rtol=0.0, atol=1e-5)
 
 
 def test_mean_by_index():

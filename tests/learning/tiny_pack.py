@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 
-from xdex_drake.learning.pack import NORMAL, Pack, write_pack
+from xdex_drake.learning.pack import JOINT_FEATURES, NORMAL, Pack, write_pack
 
 FINGERS = ("thumb", "index", "middle")
 LENGTH = 0.04
@@ -18,14 +18,14 @@ def turn(angles):
 
 
 def link_poses(fingers, joints, closing):
-    """Links in H of a palm with straight fingers, each joint turned by `closing`: rotations and origins."""
+    """Links in H of a palm with straight fingers, each joint turned by `closing`: rotations and centers."""
     R, p = [np.eye(3)], [np.zeros(3)]
     for f in range(fingers):
         turned = turn(closing * np.arange(1, joints + 1))
         origin = np.array([0.0, 0.03 - 0.03 * f, 0.08])
         for j in range(joints):
             R.append(turned[j])
-            p.append(origin)
+            p.append(origin + turned[j] @ [0.0, 0.0, LENGTH / 2])
             origin = origin + turned[j] @ [0.0, 0.0, LENGTH]
     return np.array(R), np.array(p)
 
@@ -45,12 +45,15 @@ def tiny_pack(scenes=6, grasps=8, seed=0, shapes=((3, 2), (2, 2))):
     links = np.array([1 + fingers * joints for fingers, joints in shapes])
     directions = rng.normal(size=(links.sum(), 16, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    origins = np.concatenate([link_poses(*shape, 0.0)[1] for shape in shapes])
+    centers = np.concatenate([link_poses(*shape, 0.0)[1] for shape in shapes])
+    motions = np.zeros((links.sum(), JOINT_FEATURES))
+    motions[:, [1, 3]], motions[:, 6], motions[:, 8] = 0.5, -0.2, 1.0  # about y, from 0 to 1
+    motions[np.cumsum(links) - links] = 0.0
     keypoint_links = np.full((len(shapes), len(names)), -1)
     offsets = np.zeros((len(shapes), len(names), 3))
     for h, (fingers, joints) in enumerate(shapes):
         keypoint_links[h, : fingers + 1] = [0, *(1 + joints * np.arange(1, fingers + 1) - 1)]
-        offsets[h, 1:, 2] = LENGTH
+        offsets[h, 1:, 2] = LENGTH / 2
 
     axes = rng.uniform(0.02, 0.05, (scenes, 1, 3))
     on_sphere = rng.normal(size=(scenes, POINTS, 3))
@@ -78,9 +81,10 @@ def tiny_pack(scenes=6, grasps=8, seed=0, shapes=((3, 2), (2, 2))):
         scene_names=tuple(f"ellipsoid_{s}" for s in range(scenes)),
         reasons=("", "slipped"),
         links=links.astype(np.int32),
-        link_points=(origins[:, None] + 0.01 * directions).astype(np.float16),
+        link_points=(centers[:, None] + 0.01 * directions).astype(np.float16),
         link_normals=np.rint(NORMAL * directions).astype(np.int8),
-        link_origins=origins.astype(np.float32),
+        link_centers=centers.astype(np.float32),
+        link_joints=motions.astype(np.float16),
         spd=np.concatenate([distances(*shape).ravel() for shape in shapes]).astype(np.uint8),
         keypoint_links=keypoint_links.astype(np.int16),
         keypoint_offsets=offsets.astype(np.float32),

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -360,7 +360,8 @@ class DatasetPack:
 class Train:
     """Trains the cross-embodiment model on a paired data set or a training pack, on a CPU or a GPU.
 
-    Ctrl-C ends the run after the current step with everything saved; the same command goes on from there.
+    Ctrl-C ends the run after the current step with everything saved, and a run that was killed lost five minutes at the
+    most; the same command goes on from there. A long training is a list of runs, each --from the one before.
     Try `xdex train --print-config > train.yaml`, then `xdex train train.yaml --data pairs --out model`.
 
     Attributes:
@@ -368,6 +369,7 @@ class Train:
         data: Folder of the data set.
         pack: A training pack, instead of a data set.
         out: Folder for the model, its log and the state to go on from.
+        start: A checkpoint whose weights to start from: the run before, or a model to teach one's own hands.
         steps: Another number of steps than the configuration's.
         minutes: Another limit of time than the configuration's.
         print_config: Print the resolved configuration and do nothing.
@@ -377,6 +379,7 @@ class Train:
     data: Path | None = None
     pack: Path | None = None
     out: Path = Path("model")
+    start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     steps: int | None = None
     minutes: float | None = None
     print_config: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -400,7 +403,7 @@ class Train:
             from xdex_drake.learning.samples import pack_dataset
 
             pack = pack_dataset(self.data or Path("dataset"))
-        report = train(config, pack, self.out)
+        report = train(config, pack, self.out, start=self.start)
         print(facts(report.lines()))
         return 130 if report.stopped == "interrupted" else 0
 

@@ -66,13 +66,12 @@ class Predict:
         from xdex_drake.dataset.rows import rows_of
         from xdex_drake.grasping.tally import Tally
         from xdex_drake.jobs.grasps import propose_batches
-        from xdex_drake.learning.checkpoint import checkpoint_header
-        from xdex_drake.learning.proposer import ModelProposer, default_checkpoint
+        from xdex_drake.learning.proposer import ModelProposer, default_checkpoint, load_model
         from xdex_drake.scene.facts import SceneFacts
         from xdex_drake.scene.tabletop import make_scene
 
         checkpoint = self.model or default_checkpoint()
-        checkpoint_header(checkpoint)  # a file that cannot be used is told before any work
+        load_model(str(checkpoint))  # a file that cannot be used is told before any work
         scene = make_scene(shape, seed=self.scene_seed)
         rows, tallies = [], {name: Tally() for name in self.hand}
         batches = propose_batches(

@@ -1,5 +1,6 @@
 """Models by their kind, and their checkpoints: safetensors whose header names the kind, checked before it is loaded."""
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def make_model(kind: str, settings: Mapping[str, Any]) -> Model:
 
 
 def save_checkpoint(model: Model, path: str | Path, notes: Mapping[str, Any] | None = None) -> Path:
-    """Writes a model, whole or not at all.
+    """Writes a model in 16-bit numbers, whole or not at all.
 
     Args:
         model: The model.
@@ -74,7 +75,7 @@ def save_checkpoint(model: Model, path: str | Path, notes: Mapping[str, Any] | N
         "versions": versions(),
         "notes": dict(notes or {}),
     }
-    write_tensor_file(file, {name: t.detach().cpu().numpy() for name, t in model.state_dict().items()}, header)
+    write_tensor_file(file, {name: t.detach().cpu().half().numpy() for name, t in model.state_dict().items()}, header)
     return file
 
 
@@ -124,6 +125,13 @@ def checkpoint_header(path: str | Path) -> dict[str, Any]:
     """
     file = _file(Path(path))
     return _checked_header(file, describe(file, _CHECKPOINT).header)
+
+
+def checkpoint_digest(path: str | Path) -> str:
+    """SHA-256 of a checkpoint's file, hexadecimal; arguments and errors as of `checkpoint_header`."""
+    file = _file(Path(path))
+    describe(file, _CHECKPOINT)
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _checked_header(file: Path, header: dict[str, Any]) -> dict[str, Any]:

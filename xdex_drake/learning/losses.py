@@ -21,17 +21,19 @@ def reconstruction_loss(predicted: Tensor, poses: Tensor, mask: Tensor) -> Tenso
     return (error.sum(dim=1) / mask.sum(dim=1)).mean()
 
 
-def kl_loss(mean: Tensor, log_sigma: Tensor) -> Tensor:
+def kl_loss(mean: Tensor, log_sigma: Tensor, free: float = 0.0) -> Tensor:
     """KL divergence of N(mean, sigma^2) from N(0, I), second term of Eq. (5).
 
     Args:
         mean: Means, shape (B, latent).
         log_sigma: Logarithms of the standard deviations, shape (B, latent).
+        free: Divergence that each dimension may have for nothing, on the mean over grasps [nat] (Kingma et al. 2016).
 
     Returns:
-        Mean over grasps [nat], shape ().
+        Mean over grasps, summed over dimensions [nat], shape ().
     """
-    return (0.5 * (mean.square() + (2.0 * log_sigma).exp() - 1.0) - log_sigma).sum(dim=-1).mean()
+    each = (0.5 * (mean.square() + (2.0 * log_sigma).exp() - 1.0) - log_sigma).mean(dim=0)
+    return each.clamp(min=free).sum() if free > 0.0 else each.sum()
 
 
 def point_loss(logits: Tensor, weights: Tensor) -> Tensor:
@@ -82,13 +84,12 @@ def embedding_loss(first: Tensor, second: Tensor) -> Tensor:
 def keypoints(poses: Tensor, link: Tensor, offset: Tensor) -> Tensor:
     """Keypoints from link pose vectors.
 
-    A keypoint moves with its link: p_WK = p_WL + R p_LK_H, where R = R_WL R_HL(0)^T is the link's rotation and p_LK_H
-    its offset from the link's origin at the zero configuration, axes of H.
+    A keypoint moves with its link: p_WK = p_WG + R_WG p_GK.
 
     Args:
         poses: Link pose vectors with any 6-D rotation part, shape (B, L, 9).
         link: Index of each keypoint's link, shape (B, K), int64.
-        offset: Offsets in the unit of the poses' positions, shape (B, K, 3).
+        offset: Offsets p_GK in the unit of the poses' positions, shape (B, K, 3).
 
     Returns:
         Keypoints, shape (B, K, 3).

@@ -19,10 +19,12 @@ import numpy as np
 from xdex_drake.errors import DatasetError
 from xdex_drake.learning.tensor_file import Description, FileType, describe, read_arrays, versions, write_tensor_file
 
-FEATURE_SCHEMA = 1
+FEATURE_SCHEMA = 2
 """Version of what the arrays mean that a model sees; a checkpoint or a pack of another version is refused."""
-PACK_SCHEMA = 1
+PACK_SCHEMA = 2
 """Version of the file's arrays."""
+JOINT_FEATURES = 14
+"""Numbers that say how a link's joint moves it; see `features.hand_features`."""
 NORMAL = 127
 """Length of a unit normal in a pack."""
 LIFTED = 0
@@ -35,31 +37,35 @@ _PACK = FileType(
 
 @dataclass(frozen=True)
 class HandFeatures:
-    """A hand as the model sees it.
+    """A hand as the model sees it: L tokens, links with frames G whose axes are those of H in the rest posture.
 
     Attributes:
         name: Name of the hand.
-        link_points: Points on the surface of each link, in H at the zero configuration [m], shape (L, N, 3).
+        links: Index of each token's link in the description, the base first, shape (L,), int64.
+        link_names: Names of these links.
+        link_points: Points on the surface of each link, in H at the rest posture [m], shape (L, N, 3).
         link_normals: Unit normals out of the links there, zero for a link without geometry, shape (L, N, 3).
+        centers: Mean of each link's points, the origin of G, in H at the rest posture [m], shape (L, 3).
+        joints: How each link's own joint moves it; see `features._joint_features`, shape (L, 14).
         spd: Number of joints on the path between two links, shape (L, L), int64.
-        parents: Index of each link's parent, -1 for the base, shape (L,), int64.
-        link_names: Names of the links.
-        R_HLs_zero: Rotations of the links in H at the zero configuration, shape (L, 3, 3).
-        p_HLs_zero: Origins of the links in H at the zero configuration [m], shape (L, 3).
+        R_LGs: Rotations of G in the description's link frames, shape (L, 3, 3).
+        p_LGs: Origins of G in the description's link frames [m], shape (L, 3).
         keypoint_names: `wrist`, then the fingers in the order of the description.
-        keypoint_links: Index of each keypoint's link, shape (K,), int64.
-        keypoint_offsets: From the link's origin to the keypoint at the zero configuration, axes of H [m], shape (K, 3).
-        digest: Hexadecimal digest of the arrays above.
+        keypoint_links: Token of each keypoint, shape (K,), int64.
+        keypoint_offsets: From the origin of that token's G to the keypoint, axes of G [m], shape (K, 3).
+        digest: Hexadecimal digest of what the model sees of it.
     """
 
     name: str
+    links: np.ndarray
+    link_names: tuple[str, ...]
     link_points: np.ndarray
     link_normals: np.ndarray
+    centers: np.ndarray
+    joints: np.ndarray
     spd: np.ndarray
-    parents: np.ndarray
-    link_names: tuple[str, ...]
-    R_HLs_zero: np.ndarray
-    p_HLs_zero: np.ndarray
+    R_LGs: np.ndarray
+    p_LGs: np.ndarray
     keypoint_names: tuple[str, ...]
     keypoint_links: np.ndarray
     keypoint_offsets: np.ndarray
@@ -95,15 +101,15 @@ class Pack:
         keypoint_names: Names of the keypoints of all hands: `wrist` and the fingers.
         scene_names: Names of the scenes.
         reasons: What the numbers of `outcome` mean: the first is empty (it lifted), the others say why it did not.
-        links: Number of links of each hand, shape (H,), int32.
-        link_points: Points on the links, in H at the zero configuration [m], shape (L, N, 3), float16.
+        links: Number of tokens (links) of each hand, shape (H,), int32.
+        link_points: Points on the links, in H at the rest posture [m], shape (L, N, 3), float16.
         link_normals: Normals out of the links there, of length 127, zero for a link without geometry, shape (L, N, 3),
             int8.
-        link_origins: Origins of the links in H at the zero configuration [m], shape (L, 3), float32.
+        link_centers: Origins of the links' frames G in H at the rest posture [m], shape (L, 3), float32.
+        link_joints: How each link's own joint moves it, shape (L, 14), float16.
         spd: Number of joints between two links of a hand, hand by hand, shape (sum of links^2,), uint8.
         keypoint_links: Index of each keypoint's link in its hand, -1 where the hand has none, shape (H, K), int16.
-        keypoint_offsets: From the link's origin to the keypoint at the zero configuration, axes of H [m], shape
-            (H, K, 3), float32.
+        keypoint_offsets: From the origin of the link's G to the keypoint, axes of G [m], shape (H, K, 3), float32.
         clouds: Points on the objects' surfaces [m], shape (S, P, 3), float16.
         cloud_normals: Normals out of the objects there, of length 127, zero where unknown, shape (S, P, 3), int8.
         centers: Centers of the objects in W, the table at z = 0 [m], shape (S, 3), float32.
@@ -113,7 +119,8 @@ class Pack:
         outcome: Index of each grasp's outcome in `reasons`, shape (M,), int16.
         points: Object point that each grasp heads for (its source's, where it was retargeted) [m], shape (M, 3),
             float32.
-        vectors: Link pose vectors, positions from the object point [m], shape (V, 9), float16.
+        vectors: Link pose vectors: origins of G from the object point [m], then the first two columns of R_WG, shape
+            (V, 9), float16.
         held_scenes: 1 for scenes that validate and are not trained on, shape (S,), uint8.
         held_hands: The same for hands, shape (H,), uint8.
         notes: What else the file says, as JSON.
@@ -126,7 +133,8 @@ class Pack:
     links: np.ndarray
     link_points: np.ndarray
     link_normals: np.ndarray
-    link_origins: np.ndarray
+    link_centers: np.ndarray
+    link_joints: np.ndarray
     spd: np.ndarray
     keypoint_links: np.ndarray
     keypoint_offsets: np.ndarray
@@ -157,11 +165,25 @@ class Pack:
 
 _NAMES = ("hand_names", "keypoint_names", "scene_names", "reasons")
 _TYPES = {
-    "links": "I32", "link_points": "F16", "link_normals": "I8", "link_origins": "F32", "spd": "U8",
+    "links": "I32", "link_points": "F16", "link_normals": "I8", "link_centers": "F32", "link_joints": "F16",
+    "spd": "U8",
     "keypoint_links": "I16", "keypoint_offsets": "F32", "clouds": "F16", "cloud_normals": "I8", "centers": "F32",
     "hand": "I32", "scene": "I32", "pair": "I32", "outcome": "I16", "points": "F32", "vectors": "F16",
     "held_scenes": "U8", "held_hands": "U8",
 }  # fmt: skip
+
+
+def pose_vectors(R_WGs: np.ndarray, p_WGs: np.ndarray) -> np.ndarray:
+    """Link pose vectors of frames: their origins, then the first two columns of their rotations.
+
+    Args:
+        R_WGs: Rotations, shape (..., 3, 3).
+        p_WGs: Origins [m], shape (..., 3).
+
+    Returns:
+        Vectors, shape (..., 9).
+    """
+    return np.concatenate([p_WGs, R_WGs[..., 0], R_WGs[..., 1]], axis=-1)
 
 
 def write_pack(pack: Pack, path: str | Path) -> Path:
@@ -271,7 +293,8 @@ def check_pack(pack: Pack, source: str = "training pack") -> None:
         {
             "link_points": (L, *N, 3),
             "link_normals": (L, *N, 3),
-            "link_origins": (L, 3),
+            "link_centers": (L, 3),
+            "link_joints": (L, JOINT_FEATURES),
             "spd": (int((pack.links.astype(np.int64) ** 2).sum()),),
             "keypoint_links": (H, K),
             "keypoint_offsets": (H, K, 3),

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from xdex_drake.arrays import Array
-from xdex_drake.hand.link_pose import link_pose_vectors, link_poses_from_vectors
-from xdex_drake.learning.features import HandFeatures, ObjectFeatures
+from xdex_drake.learning.losses import rotations_from_columns
+from xdex_drake.learning.pack import HandFeatures, ObjectFeatures, pose_vectors
 from xdex_drake.learning.protocol import (
     Clouds,
     Drawn,
@@ -22,18 +22,18 @@ from xdex_drake.learning.protocol import (
 
 @dataclass(frozen=True)
 class Prediction:
-    """Link poses of some grasps of one hand.
+    """Link poses of some grasps of one hand: those of the frames G of its tokens (see `features`).
 
     Attributes:
-        R_WLs: Rotations of the links in W, shape (count, L, 3, 3).
-        p_WLs: Origins of the links in W [m], shape (count, L, 3).
+        R_WGs: Rotations in W, shape (count, L, 3, 3).
+        p_WGs: Origins in W [m], shape (count, L, 3).
         p_WPoints: The object points that the grasps are conditioned on, in W [m], shape (count, 3).
         point_indices: Their indices in the object's points, shape (count,).
         latents: What else was drawn, shape (count, D).
     """
 
-    R_WLs: Array
-    p_WLs: Array
+    R_WGs: Array
+    p_WGs: Array
     p_WPoints: Array
     point_indices: np.ndarray
     latents: Array
@@ -71,11 +71,11 @@ def sample(
         points = None if point_indices is None else _indices(point_indices, model)
         arguments = one_hand(hand, model), one_cloud(object, model), count, rng
         drawn = model.sample(*arguments, temperature=temperature, points=points)
-        return _prediction(drawn, hand, object)
+        return _prediction(drawn, object)
 
 
 def encode(
-    model: LatentModel, hand: HandFeatures, object: ObjectFeatures, R_WLs: Array, p_WLs: Array, p_WPoints: Array
+    model: LatentModel, hand: HandFeatures, object: ObjectFeatures, R_WGs: Array, p_WGs: Array, p_WPoints: Array
 ) -> tuple[Array, np.ndarray]:
     """Most likely latents of given grasps, and the nearest of the object's points to the point that each heads for.
 
@@ -83,8 +83,8 @@ def encode(
         model: The model.
         hand: The hand of the grasps.
         object: The object.
-        R_WLs: Rotations of the links in W, shape (count, L, 3, 3).
-        p_WLs: Origins of the links in W [m], shape (count, L, 3).
+        R_WGs: Rotations of its frames G in W, shape (count, L, 3, 3).
+        p_WGs: Their origins in W [m], shape (count, L, 3).
         p_WPoints: Object points in W [m], shape (count, 3).
 
     Returns:
@@ -93,7 +93,7 @@ def encode(
     apart = (p_WPoints - object.p_WCenter)[:, None] - object.points
     indices = np.argmin(np.linalg.norm(apart, axis=-1), axis=1)
     with torch.inference_mode():
-        vectors = link_pose_vectors(R_WLs, p_WLs - object.p_WCenter, hand.R_HLs_zero)
+        vectors = pose_vectors(R_WGs, p_WGs - object.p_WCenter)
         poses = normalize_poses(_tensor(vectors, model), _tensor(object.points[indices], model))
         latents = model.encode_grasps(one_hand(hand, model), one_cloud(object, model), poses, _indices(indices, model))
     return latents.double().cpu().numpy(), indices
@@ -104,8 +104,8 @@ def neural_retarget(
     source: HandFeatures,
     target: HandFeatures,
     object: ObjectFeatures,
-    R_WLs: Array,
-    p_WLs: Array,
+    R_WGs: Array,
+    p_WGs: Array,
     p_WPoints: Array,
 ) -> Prediction:
     """Neural retargeting, Eq. (7): encode one hand's grasps, decode their most likely latents for another hand.
@@ -115,27 +115,28 @@ def neural_retarget(
         source: The hand of the given grasps.
         target: The hand to carry them to.
         object: The object.
-        R_WLs: Rotations of the source's links in W, shape (count, L, 3, 3).
-        p_WLs: Origins of the source's links in W [m], shape (count, L, 3).
+        R_WGs: Rotations of the source's frames G in W, shape (count, L, 3, 3).
+        p_WGs: Their origins in W [m], shape (count, L, 3).
         p_WPoints: Object points that the given grasps head for, in W [m], shape (count, 3).
 
     Returns:
         The target's grasps.
     """
-    mean, indices = encode(model, source, object, R_WLs, p_WLs, p_WPoints)
+    mean, indices = encode(model, source, object, R_WGs, p_WGs, p_WPoints)
     with torch.inference_mode():
         latents, points = _tensor(mean, model), _indices(indices, model)
         poses = model.decode_grasps(one_hand(target, model), one_cloud(object, model), latents, points)
-        return _prediction(Drawn(poses, points, latents), target, object)
+        return _prediction(Drawn(poses, points, latents), object)
 
 
 def one_hand(hand: HandFeatures, model: Model) -> HandBatch:
     """A hand as a model takes it, on the model's device."""
     L = len(hand.link_names)
     return HandBatch(
-        points=_tensor(hand.link_points, model)[None],
-        normals=_tensor(hand.link_normals, model)[None],
-        origins=_tensor(hand.p_HLs_zero, model)[None],
+        points=_tensor(hand.link_points, model),
+        normals=_tensor(hand.link_normals, model),
+        centers=_tensor(hand.centers, model),
+        joints=_tensor(hand.joints, model),
         spd=_indices(hand.spd, model)[None],
         mask=torch.ones((1, L), dtype=torch.bool, device=_device(model)),
     )
@@ -147,14 +148,13 @@ def one_cloud(object: ObjectFeatures, model: Model) -> Clouds:
     return Clouds(_tensor(object.points, model)[None], _tensor(object.normals, model)[None], table)
 
 
-def _prediction(drawn: Drawn, hand: HandFeatures, object: ObjectFeatures) -> Prediction:
+def _prediction(drawn: Drawn, object: ObjectFeatures) -> Prediction:
     indices = drawn.points.cpu().numpy()
     points = torch.as_tensor(object.points[indices], dtype=drawn.poses.dtype, device=drawn.poses.device)
-    vectors = denormalize_poses(drawn.poses, points).double().cpu().numpy()
-    R_WLs, p_WLs = link_poses_from_vectors(vectors, hand.R_HLs_zero)
+    vectors = denormalize_poses(drawn.poses, points).double().cpu()
     return Prediction(
-        R_WLs=R_WLs,
-        p_WLs=p_WLs + object.p_WCenter,
+        R_WGs=rotations_from_columns(vectors[..., 3:]).numpy(),
+        p_WGs=vectors[..., :3].numpy() + object.p_WCenter,
         p_WPoints=object.points[indices] + object.p_WCenter,
         point_indices=indices,
         latents=drawn.latents.double().cpu().numpy(),

@@ -13,14 +13,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.grasping.proposers import Candidate
 from xdex_drake.hand.description import Hand
-from xdex_drake.hand.kinematics import zero_configuration
-from xdex_drake.hand.link_pose import rotations_since_zero
 from xdex_drake.learning.checkpoint import load_checkpoint
-from xdex_drake.learning.features import hand_features, object_features
+from xdex_drake.learning.features import ObjectFeatures, hand_features, object_features
+from xdex_drake.learning.first_model import FirstModel, is_first, load_first
 from xdex_drake.learning.predict import Prediction, sample
 from xdex_drake.learning.protocol import Model
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
-from xdex_drake.programs.link_pose_ik import link_pose_ik, touching_fingers
+from xdex_drake.programs.inverse_kinematics import IkResult, frame_targets, solve_points
+from xdex_drake.programs.link_pose_ik import touching_fingers
 from xdex_drake.programs.retargeting import REFINEMENT
 from xdex_drake.programs.search import Candidates, refine
 from xdex_drake.scene.tabletop import Scene, point_cloud
@@ -47,10 +47,14 @@ def predict(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0
     Returns:
         Link poses in W.
     """
+    return sample(model, _features(hand), scene_features(scene), count, seed=seed)
+
+
+def scene_features(scene: Scene) -> ObjectFeatures:
+    """A scene's object as the model sees it."""
     points_W, normals_W = point_cloud(scene, OBJECT_POINTS, seed=0)
     center_W = scene.X_WO @ scene.object.p_OOcm
-    cloud = object_features(points_W, center_W, count=OBJECT_POINTS, seed=0, n_WPoints=normals_W)
-    return sample(model, hand_features(hand), cloud, count, seed=seed)
+    return object_features(points_W, center_W, count=OBJECT_POINTS, seed=0, n_WPoints=normals_W)
 
 
 def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidates:
@@ -64,9 +68,15 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     Returns:
         One candidate a prediction, in its order; the energy is the error of the inverse kinematics [m].
     """
-    R_HLs, _ = zero_configuration(hand)
-    # The link pose vector's rotation, from which a vendor's choice of link axes has dropped out.
-    found = link_pose_ik(hand, rotations_since_zero(prediction.R_WLs, R_HLs), prediction.p_WLs)
+    known, R_WGs, p_WGs = _features(hand), prediction.R_WGs, prediction.p_WGs
+    targets = frame_targets(known.links, known.R_LGs, known.p_LGs, R_WGs, p_WGs)
+    # The axes of the base's G are those of H.
+    p_WHs = p_WGs[:, 0] - R_WGs[:, 0] @ known.centers[0]
+    found = solve_points(hand, targets, R_WGs[:, 0], p_WHs, np.tile(hand.q_rest, (len(R_WGs), 1)))
+    return _with_fingers(hand, scene, found)
+
+
+def _with_fingers(hand: Hand, scene: Scene, found: IkResult) -> Candidates:
     fingers = np.array(
         [
             touching_fingers(
@@ -78,7 +88,14 @@ def configurations(hand: Hand, scene: Scene, prediction: Prediction) -> Candidat
     return Candidates(found.R_WHs, found.p_WHs, found.qs, fingers, found.errors, {})
 
 
-def draw_candidates(model: Model, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Candidates:
+def draw_raw(model: Model | FirstModel, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Candidates:
+    """Predicted grasps by inverse kinematics alone; arguments as of `draw_candidates`."""
+    if isinstance(model, FirstModel):
+        return _with_fingers(hand, scene, model.configurations(hand, scene_features(scene), count, seed))
+    return configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
+
+
+def draw_candidates(model: Model | FirstModel, hand: Hand, scene: Scene, *, count: int, seed: int = 0) -> Candidates:
     """Predicted grasps as configurations near which a program looks for a grasp: drawn, solved for, refined in a batch.
 
     Args:
@@ -91,8 +108,7 @@ def draw_candidates(model: Model, hand: Hand, scene: Scene, *, count: int, seed:
     Returns:
         One candidate a prediction, in its order.
     """
-    raw = configurations(hand, scene, predict(model, hand, scene, count=count, seed=seed))
-    return refine(hand, scene, raw, settings=REFINEMENT)
+    return refine(hand, scene, draw_raw(model, hand, scene, count=count, seed=seed), settings=REFINEMENT)
 
 
 @dataclass(frozen=True)
@@ -109,7 +125,7 @@ class ModelProposer:
 
     def __call__(self, hand: Hand, scene: Scene, count: int, seed: int) -> Iterator[Candidate]:
         """Draws, solves inverse kinematics and refines once, for all candidates; see `grasping.proposers.Proposer`."""
-        model, start = _model(self.checkpoint), time.perf_counter()
+        model, start = load_model(self.checkpoint), time.perf_counter()
         drawn = draw_candidates(model, hand, scene, count=count, seed=seed)
         share = (time.perf_counter() - start) / count
         for k in range(count):
@@ -119,5 +135,19 @@ class ModelProposer:
 
 
 @lru_cache(maxsize=2)
-def _model(checkpoint: str) -> Model:
-    return load_checkpoint(checkpoint)
+def load_model(checkpoint: str) -> Model | FirstModel:
+    """Reads a model, or takes the one that was read before.
+
+    Args:
+        checkpoint: File of the model, or the folder that holds it.
+
+    Returns:
+        The model.
+
+    Raises:
+        CheckpointError: There is no such file, or it is damaged or of another version.
+    """
+    return load_first(Path(checkpoint)) if is_first(Path(checkpoint)) else load_checkpoint(checkpoint)
+
+
+_features = lru_cache(maxsize=16)(hand_features)

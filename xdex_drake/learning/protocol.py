@@ -1,7 +1,8 @@
 """What the trainer and the predictor know of a model, and what a model is given.
 
-Poses are normalised link pose vectors: the origin of a link from the object point p in units of 0.1 m, then the first
-two columns of its rotation R_WL R_HL(0)^T; axes of W. A model that predicts other coordinates turns them into these.
+Poses are normalised link pose vectors: the origin of a link's frame G from the object point p in units of 0.1 m, then
+the first two columns of its rotation R_WG; axes of W. G has the axes of H in the hand's rest posture and its origin at
+the mean of the link's points (see `features`). A model that predicts other coordinates turns them into these.
 """
 
 from abc import ABC, abstractmethod
@@ -17,19 +18,21 @@ LENGTH_UNIT = 0.1
 
 
 class HandBatch(NamedTuple):
-    """Some hands, padded to the same number of links.
+    """Some hands: T links in all, hand by hand, in the row-major order of `mask`. The base is a hand's first link.
 
     Attributes:
-        points: Link clouds in H at the zero configuration [m], shape (H, L, N, 3).
-        normals: Unit normals out of the links there, zero for a link without geometry, shape (H, L, N, 3).
-        origins: Link origins in H at the zero configuration [m], shape (H, L, 3).
-        spd: Shortest-path distances between links, shape (H, L, L), int64.
+        points: Link clouds in H at the rest posture [m], shape (T, N, 3).
+        normals: Unit normals out of the links there, zero for a link without geometry, shape (T, N, 3).
+        centers: Origins of the links' frames G in H at the rest posture [m], shape (T, 3).
+        joints: How each link's own joint moves it; see `features`, shape (T, 14).
+        spd: Shortest-path distances between links, padded, shape (H, L, L), int64.
         mask: True where a link is real, shape (H, L).
     """
 
     points: Tensor
     normals: Tensor
-    origins: Tensor
+    centers: Tensor
+    joints: Tensor
     spd: Tensor
     mask: Tensor
 
@@ -39,8 +42,7 @@ class Keypoints(NamedTuple):
 
     Attributes:
         links: Link of each keypoint, shape (H, K), int64.
-        offsets: From the link's origin to the keypoint at the zero configuration, axes of H, in units of 0.1 m, shape
-            (H, K, 3).
+        offsets: From the origin of the link's G to the keypoint, axes of G, in units of 0.1 m, shape (H, K, 3).
         mask: True where the hand has the keypoint, shape (H, K).
     """
 

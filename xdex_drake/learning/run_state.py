@@ -40,18 +40,24 @@ class Progress:
 
 
 def save_state(
-    file: Path, model: Model, optimizer: torch.optim.Optimizer, progress: Progress, identity: Mapping[str, Any]
+    file: Path,
+    model: Model,
+    average: Model | None,
+    optimizer: torch.optim.Optimizer,
+    progress: Progress,
+    identity: Mapping[str, Any],
 ) -> None:
     """Writes a run's state.
 
     Args:
         file: The file.
         model: The model.
+        average: The running mean of its weights, where there is one.
         optimizer: Its optimiser.
         progress: How far the run has come.
         identity: What must be the same when the run goes on, as JSON, by parts.
     """
-    arrays = {f"model/{name}": _array(tensor) for name, tensor in model.state_dict().items()}
+    arrays = {name: _array(tensor) for name, tensor in _weights(model, average).items()}
     for parameter, values in optimizer.state_dict()["state"].items():
         arrays |= {f"optimizer/{parameter}/{name}": _array(tensor) for name, tensor in values.items()}
     header = {
@@ -65,13 +71,18 @@ def save_state(
 
 
 def load_state(
-    file: Path, model: Model, optimizer: torch.optim.Optimizer, identity: Mapping[str, Mapping[str, Any]]
+    file: Path,
+    model: Model,
+    average: Model | None,
+    optimizer: torch.optim.Optimizer,
+    identity: Mapping[str, Mapping[str, Any]],
 ) -> Progress:
     """Puts a run where its state was saved.
 
     Args:
         file: The file.
         model: The model, whose parameters are overwritten.
+        average: The running mean of its weights, likewise, where there is one.
         optimizer: Its optimiser, the same.
         identity: What must be the same.
 
@@ -96,10 +107,12 @@ def load_state(
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise damaged from error
     tensors = {name: torch.tensor(array) for name, array in arrays.items()}
-    expected = {f"model/{name}": tensor.shape for name, tensor in model.state_dict().items()}
-    if {name: t.shape for name, t in tensors.items() if name.startswith("model/")} != expected:
+    expected = {name: tensor.shape for name, tensor in _weights(model, average).items()}
+    if {name: t.shape for name, t in tensors.items() if name.startswith(("model/", "average/"))} != expected:
         raise damaged
-    model.load_state_dict({name.removeprefix("model/"): tensors[name] for name in expected})
+    for prefix, owner in (("model/", model), ("average/", average)):
+        if owner is not None:
+            owner.load_state_dict({name: tensors[prefix + name] for name in owner.state_dict()})
     state: dict[int, dict[str, torch.Tensor]] = {}
     try:
         for name in tensors.keys() - expected.keys():
@@ -150,6 +163,11 @@ def cut_log(out: Path, step: int) -> None:
 def finite(figures: Mapping[str, float]) -> dict[str, float | None]:
     """Figures as JSON holds them, which has no nan."""
     return {name: round(value, 6) if math.isfinite(value) else None for name, value in figures.items()}
+
+
+def _weights(model: Model, average: Model | None) -> dict[str, torch.Tensor]:
+    owners = {"model/": model} if average is None else {"model/": model, "average/": average}
+    return {prefix + name: t for prefix, owner in owners.items() for name, t in owner.state_dict().items()}
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray:

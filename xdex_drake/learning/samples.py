@@ -19,9 +19,8 @@ from xdex_drake.dataset.schema import ObjectFacts, object_facts_from_row
 from xdex_drake.errors import DatasetError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
-from xdex_drake.hand.link_pose import link_pose_vectors
-from xdex_drake.learning.features import hand_features, object_features, object_point
-from xdex_drake.learning.pack import NORMAL, HandFeatures, ObjectFeatures, Pack, check_pack
+from xdex_drake.learning.features import hand_features, link_frames, object_features, object_point
+from xdex_drake.learning.pack import NORMAL, HandFeatures, ObjectFeatures, Pack, check_pack, pose_vectors
 from xdex_drake.scene.object import ObjectModel
 
 CLOUD = 2048
@@ -54,8 +53,8 @@ class HandGrasps:
     Attributes:
         hand: The hand.
         scene: Index of the scene of each, shape (n,).
-        R_WLs: Rotations of the links in W, shape (n, L, 3, 3).
-        p_WLs: Origins of the links in W [m], shape (n, L, 3).
+        R_WGs: Rotations of the links' frames G in W, shape (n, L, 3, 3).
+        p_WGs: Origins of the links' frames G in W [m], shape (n, L, 3).
         p_WPoints: Object points that they head for (their sources', where they were retargeted) in W [m], shape (n, 3).
         pair: Grasps of one scene with one number are versions of one grasp; -1 for none, shape (n,).
         outcome: Index of what became of each among the reasons, 0 for a grasp that lifted, shape (n,).
@@ -63,8 +62,8 @@ class HandGrasps:
 
     hand: HandFeatures
     scene: np.ndarray
-    R_WLs: Array
-    p_WLs: Array
+    R_WGs: Array
+    p_WGs: Array
     p_WPoints: Array
     pair: np.ndarray
     outcome: np.ndarray
@@ -151,10 +150,10 @@ def make_pack(
         raise DatasetError("training pack: a grasp names a scene that is not there")
 
     def vectors(part: HandGrasps) -> Array:
-        shape = (len(part.scene), *part.hand.R_HLs_zero.shape)
-        if part.R_WLs.shape != shape or part.p_WLs.shape != shape[:-1]:
+        shape = (len(part.scene), *part.hand.R_LGs.shape)
+        if part.R_WGs.shape != shape or part.p_WGs.shape != shape[:-1]:
             raise DatasetError(f"training pack: grasps of {part.hand.name} do not have its {shape[1]} links")
-        return link_pose_vectors(part.R_WLs, part.p_WLs - part.p_WPoints[:, None], part.hand.R_HLs_zero).reshape(-1, 9)
+        return pose_vectors(part.R_WGs, part.p_WGs - part.p_WPoints[:, None]).reshape(-1, 9)
 
     def joined(arrays: Sequence[np.ndarray], kind: type[np.generic]) -> np.ndarray:
         with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused below
@@ -168,7 +167,8 @@ def make_pack(
         links=np.array([len(hand.link_names) for hand in hands], dtype=np.int32),
         link_points=joined([hand.link_points for hand in hands], np.float16),
         link_normals=joined([np.rint(NORMAL * hand.link_normals) for hand in hands], np.int8),
-        link_origins=joined([hand.p_HLs_zero for hand in hands], np.float32),
+        link_centers=joined([hand.centers for hand in hands], np.float32),
+        link_joints=joined([hand.joints for hand in hands], np.float16),
         spd=joined([hand.spd.ravel() for hand in hands], np.uint8),
         keypoint_links=links.astype(np.int16),
         keypoint_offsets=offsets.astype(np.float32),
@@ -254,7 +254,9 @@ def _grasps_by_hand(
             cloud = scenes[int(scene[rows[k]])]
             p_WCloud = cloud.points + cloud.p_WCenter
             p_WPoints[k] = p_WCloud[object_point(hand, R_WLs[k], p_WLs[k], p_WCloud)]
-        yield HandGrasps(hand_features(hand), scene[rows], R_WLs, p_WLs, p_WPoints, pair[rows], outcome[rows])
+        features = hand_features(hand)
+        R_WGs, p_WGs = link_frames(features, R_WLs, p_WLs)
+        yield HandGrasps(features, scene[rows], R_WGs, p_WGs, p_WPoints, pair[rows], outcome[rows])
 
 
 def _link_poses(hand: Hand, table: pa.Table) -> tuple[Array, Array]:
@@ -271,8 +273,7 @@ def _link_poses(hand: Hand, table: pa.Table) -> tuple[Array, Array]:
     if len(q) != len(table) * n or not np.isfinite(q).all():
         raise DatasetError(f"grasps of hand {hand.name}, {first} among them: q must have {n} finite numbers")
     R_WH, p_WH = _poses(_rows_of_numbers(table["X_WH"], 7), table["grasp_id"])
-    in_wrist = [forward_kinematics(hand, RigidTransform(), values) for values in q.reshape(-1, n)]
-    R_HLs, p_HLs = (np.array(part) for part in zip(*in_wrist, strict=True))
+    R_HLs, p_HLs = forward_kinematics(hand, RigidTransform(), q.reshape(-1, n))
     return R_WH[:, None] @ R_HLs, p_HLs @ R_WH.transpose(0, 2, 1) + p_WH[:, None]
 
 

@@ -4,9 +4,13 @@ Each step draws from a generator seeded with (seed, step): an unbroken run and o
 same. Torch, NumPy, safetensors, PyYAML and tqdm suffice:
 
     python -m xdex_drake.learning.training CONFIG.yaml --pack FILE.safetensors --out DIR
+
+A long training is a list of legs: each starts from the weights that the one before has left (`start`), with its own
+warm-up and its own fall of the learning rate.
 """
 
 import argparse
+import copy
 import logging
 import math
 import signal
@@ -17,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -28,13 +32,22 @@ from xdex_drake.errors import ConfigError, XdexError
 from xdex_drake.learning.batches import (
     BatchSizes,
     Data,
+    Views,
     draw_batch,
     draw_couples,
     grasps_of_scenes,
     load_pack,
     make_batch,
 )
-from xdex_drake.learning.checkpoint import FILE_NAME, MODELS, make_model, model_config, save_checkpoint
+from xdex_drake.learning.checkpoint import (
+    FILE_NAME,
+    MODELS,
+    checkpoint_digest,
+    load_checkpoint,
+    make_model,
+    model_config,
+    save_checkpoint,
+)
 from xdex_drake.learning.losses import keypoints
 from xdex_drake.learning.pack import LIFTED, Pack, read_pack
 from xdex_drake.learning.protocol import LENGTH_UNIT, Batch, Model
@@ -60,14 +73,20 @@ class TrainConfig:
         scenes_per_batch: Scenes in a step; they share its grasps evenly.
         points: Object points that a step sees of each scene.
         jitter: Standard deviation of the noise on object points [m].
+        link_points: Points that a step sees of each link; 0 for all.
+        max_hands: Hands in a step, at most; 0 for any number.
+        mirror: Share of the scenes that are mirrored, hands and all.
         learning_rate: Greatest learning rate.
         warm_up: Steps over which it rises.
         weight_decay: Weight decay of AdamW.
         clip: Greatest norm of a gradient.
+        ema: Decay of the running mean of the weights, which is the model that is kept; 0 keeps the last weights.
+        precision: Numbers of matrix products, `float32` or `bfloat16`; losses and weights have 32 bits always.
         validation_fraction: Fraction of the scenes to hold out where the pack names none.
         log_every: Steps between lines of the log.
         validate_every: Steps between validations.
-        save_every: Steps between saves.
+        save_minutes: Time between saves.
+        save_every: Steps between saves, besides; None for none.
         seed: Seed of everything.
         device: `auto` for CUDA where there is one, or a device's name.
         kind: Kind of the model.
@@ -76,20 +95,26 @@ class TrainConfig:
         warm_ups: Steps over which the weights of terms rise.
     """
 
-    steps: int = 4000
+    steps: int = 8000
     minutes: float | None = None
-    batch: int = 64
+    batch: int = 512
     scenes_per_batch: int = 8
     points: int = 1024
     jitter: float = 0.001
-    learning_rate: float = 1e-3
-    warm_up: int = 100
+    link_points: int = 32
+    max_hands: int = 192
+    mirror: float = 0.5
+    learning_rate: float = 5e-4
+    warm_up: int = 200
     weight_decay: float = 0.01
     clip: float = 1.0
+    ema: float = 0.999
+    precision: Literal["float32", "bfloat16"] = "float32"
     validation_fraction: float = 0.1
     log_every: int = 50
     validate_every: int = 500
-    save_every: int = 200
+    save_minutes: float = 5.0
+    save_every: int | None = None
     seed: int = 0
     device: str = "auto"
     kind: str = "cvae"
@@ -175,8 +200,11 @@ def resolve(config: TrainConfig) -> TrainConfig:
             f"({config.scenes_per_batch}) scenes"
         )
     for name in ("steps", "points", "log_every", "validate_every", "save_every"):
-        if getattr(config, name) < 1:
+        if getattr(config, name) is not None and getattr(config, name) < 1:
             raise ConfigError(f"'{name}' ({getattr(config, name)}) must be at least 1")
+    for name, most in (("ema", 0.999999), ("mirror", 1.0), ("max_hands", math.inf), ("link_points", math.inf)):
+        if not 0.0 <= getattr(config, name) <= most:
+            raise ConfigError(f"'{name}' ({getattr(config, name)}) must lie in 0 to {most:g}")
     settings = to_plain(model_config(config.kind, config.model))
     known = MODELS[config.kind].weights
     for name in ("weights", "warm_ups"):
@@ -186,7 +214,13 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
 
 def train(
-    config: TrainConfig, pack: Pack, out: str | Path, *, resume: bool = True, progress: bool = True
+    config: TrainConfig,
+    pack: Pack,
+    out: str | Path,
+    *,
+    start: str | Path | None = None,
+    resume: bool = True,
+    progress: bool = True,
 ) -> TrainingReport:
     """Trains a model.
 
@@ -198,6 +232,7 @@ def train(
         config: How to train.
         pack: What to learn from.
         out: Folder to write to.
+        start: A checkpoint whose weights to start from, of a model of the same settings; random ones where None.
         resume: Go on from the folder's state where there is one; otherwise start again.
         progress: Whether to show a progress bar.
 
@@ -206,13 +241,13 @@ def train(
 
     Raises:
         ConfigError: The configuration or the data cannot be used, or are not those of the folder's state.
-        CheckpointError: The folder's state is damaged.
+        CheckpointError: The folder's state, or the checkpoint to start from, is damaged.
     """
     config, out = resolve(config), Path(out)
     device = _device(config.device)
     split = split_grasps(pack, config)
     out.mkdir(parents=True, exist_ok=True)
-    run = _Run(config, pack, split, out, device)
+    run = _Run(config, pack, split, out, device, start)
     begun = run.resumed() if resume and (out / STATE_NAME).exists() else Progress()
     cut_log(out, begun.step)
     with _interruptible() as interrupted, tqdm(total=config.steps, initial=begun.step, disable=not progress) as bar:
@@ -224,26 +259,34 @@ def train(
 class _Run:
     """A run: the model, its optimiser, its data and its folder."""
 
-    def __init__(self, config: TrainConfig, pack: Pack, split: Split, out: Path, device: torch.device) -> None:
+    def __init__(
+        self, config: TrainConfig, pack: Pack, split: Split, out: Path, device: torch.device, start: str | Path | None
+    ) -> None:
         self.config, self.split, self.out = config, split, out
         self.data, self.sizes = load_pack(pack, device), batch_sizes(config)
         self.terms = [name for name, weight in config.weights.items() if weight > 0.0]
-        self.model = _seeded_model(config).to(device)
+        self.model = (_seeded_model(config) if start is None else _started_model(config, start)).to(device).train()
         self.optimizer = torch.optim.AdamW(
             self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        self.identity = _identity(config, pack, split)
+        self.average = copy.deepcopy(self.model).requires_grad_(False).eval() if config.ema > 0.0 else None
+        self.identity = _identity(config, pack, split, start)
         self.notes = {"seed": config.seed, "grasps": len(pack.hand), "hands": list(pack.hand_names)}
 
+    @property
+    def kept(self) -> Model:
+        """The model that is saved and validates."""
+        return self.model if self.average is None else self.average
+
     def resumed(self) -> Progress:
-        """Puts model and optimiser where the folder's state has them."""
-        return load_state(self.out / STATE_NAME, self.model, self.optimizer, self.identity)
+        """Puts model, running mean and optimiser where the folder's state has them."""
+        return load_state(self.out / STATE_NAME, self.model, self.average, self.optimizer, self.identity)
 
     def save(self, now: Progress) -> None:
         """Writes the model and the state to go on from."""
         notes = {**self.notes, "steps": now.step, "validation": finite(now.validation)}
-        save_checkpoint(self.model, self.out, notes)
-        save_state(self.out / STATE_NAME, self.model, self.optimizer, now, self.identity)
+        save_checkpoint(self.kept, self.out, notes)
+        save_state(self.out / STATE_NAME, self.model, self.average, self.optimizer, now, self.identity)
 
     def step(self, step: int, share: float) -> dict[str, float]:
         """Takes a step; returns the loss and its terms.
@@ -257,7 +300,9 @@ class _Run:
             group["lr"] = learning_rate(config, step, share)
         rng = np.random.default_rng((config.seed, step))
         batch = draw_batch(self.data, self.split.train, self.sizes, rng)
-        terms = self.model.loss(batch, self.terms, rng)
+        half = config.precision == "bfloat16"
+        with torch.autocast(self.data.points.device.type, torch.bfloat16, enabled=half):
+            terms = self.model.loss(batch, self.terms, rng)
         loss = torch.stack([term_weight(config, name, step) * term for name, term in terms.items()]).sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -265,20 +310,27 @@ class _Run:
         if not bool(torch.isfinite(norm)):
             raise ConfigError(f"training diverged at step {step}; lower 'learning_rate' ({config.learning_rate:g})")
         self.optimizer.step()
+        if self.average is not None:
+            # A mean of few steps first, so that the weights it began with do not linger.
+            share = max(1.0 - config.ema, 9.0 / (10.0 + step))
+            with torch.no_grad():
+                for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
+                    mean.lerp_(value, share)
         return {name: term.item() for name, term in {"loss": loss, **terms}.items()}
 
     def validate(self) -> dict[str, float]:
         """Figures on held-out scenes, and on held-out hands under names that begin with `hands_`."""
-        figures = validate(self.model, self.data, self.split.scenes, self.config)
+        figures = validate(self.kept, self.data, self.split.scenes, self.config)
         some = dict(list(self.split.hands.items())[:VALIDATION_SCENES])
-        new = validate(self.model, self.data, some, self.config)
+        new = validate(self.kept, self.data, some, self.config)
         return {**figures, **{f"hands_{name}": value for name, value in new.items()}}
 
 
 def _take_steps(run: _Run, begun: Progress, interrupted: threading.Event, bar: tqdm) -> tuple[str, Progress]:
     """Takes the steps of a run from where it stands to its end; returns why it stopped, and where."""
     config, start = run.config, time.monotonic()
-    step, figures, saved = begun.step, begun.validation, -1
+    step, figures, saved, saved_at = begun.step, begun.validation, -1, start
+    first, mark = begun.step, start
     sums: dict[str, list[float]] = {}
 
     def now() -> Progress:
@@ -304,14 +356,18 @@ def _take_steps(run: _Run, begun: Progress, interrupted: threading.Event, bar: t
         bar.update()
         if step % config.log_every == 0 or step == config.steps:
             means = {name: float(np.mean(values)) for name, values in sums.items()}
-            write_log(run.out, {"step": step, "seconds": round(now().seconds, 3), **means})
-            bar.set_postfix(loss=f"{means['loss']:.4f}", refresh=False)
-            sums = {}
+            rate = config.batch * (step - first) / max(time.monotonic() - mark, 1e-9)
+            first, mark, sums = step, time.monotonic(), {}
+            seconds = round(now().seconds, 3)
+            write_log(run.out, {"step": step, "seconds": seconds, "grasps_per_second": round(rate, 1), **means})
+            left = (config.steps - step) * config.batch / rate / 60.0
+            bar.set_postfix_str(f"loss {means['loss']:.4f}, {rate:.0f} grasps/s, {left:.0f} min left", refresh=False)
         if step % config.validate_every == 0 or step == config.steps:
             figures = validated()
-        if step % config.save_every == 0:
+        due = config.save_every is not None and step % config.save_every == 0
+        if due or time.monotonic() - saved_at > 60.0 * config.save_minutes:
             run.save(now())
-            saved = step
+            saved, saved_at = step, time.monotonic()
     if stopped == "time":
         figures = validated()
     if saved != step or stopped == "time":
@@ -351,22 +407,23 @@ def validate(model: Model, data: Data, held: dict[int, np.ndarray], config: Trai
 
     Returns:
         The terms of the loss; and for everything that the model reconstructs grasps from (`posterior`, `prior`, ...)
-        the mean error of link origins, as `posterior_mm`, and of fingertips, as `posterior_tip_mm`, of the best try;
+        the mean error of links' centers, as `posterior_mm`, and of fingertips, as `posterior_tip_mm`, of the best try;
         nan without any. Empty where there is nothing to validate.
     """
     rng = np.random.default_rng(config.seed)
     rows: list[dict[str, float]] = []
+    training = model.training
     model.eval()
     for scene, here in held.items():
         grasps = draw_couples(data, here, max(1, min(VALIDATION_GRASPS, len(here)) // 2), rng)
-        batch = make_batch(data, {scene: here}, grasps, np.zeros(1), batch_sizes(config), rng)
+        batch = make_batch(data, {scene: here}, grasps, Views.plain(1), batch_sizes(config), rng)
         terms = [name for name, weight in config.weights.items() if weight > 0.0]
         row = {name: float(value) for name, value in model.loss(batch, terms, rng).items()}
         for name, tries in model.reconstruct(batch, rng).items():
             origins, tips = pose_errors(tries, batch)
             row[f"{name}_mm"], row[f"{name}_tip_mm"] = float(origins.nanmean()), float(tips.nanmean())
         rows.append(row)
-    model.train()
+    model.train(training)
     names = dict.fromkeys(name for row in rows for name in row)
     table = {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
     return {name: float(np.nanmean(v)) if np.isfinite(v).any() else math.nan for name, v in table.items()}
@@ -380,7 +437,7 @@ def pose_errors(tries: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
         batch: The true grasps.
 
     Returns:
-        Mean error of the link origins, and of the fingertips (nan for a hand without fingers) [mm], shape (B,) each.
+        Mean error of the links' centers, and of the fingertips (nan for a hand without fingers) [mm], shape (B,) each.
     """
     mask, unit = batch.mask, 1000.0 * LENGTH_UNIT
     link, offset, has = (entry[batch.hand] for entry in batch.keypoints)
@@ -440,13 +497,35 @@ def batch_sizes(config: TrainConfig) -> BatchSizes:
     Returns:
         The sizes.
     """
-    return BatchSizes(config.batch, config.scenes_per_batch, config.points, config.jitter)
+    return BatchSizes(
+        config.batch,
+        config.scenes_per_batch,
+        config.points,
+        config.jitter,
+        config.link_points,
+        config.max_hands,
+        config.mirror,
+    )
 
 
 def _seeded_model(config: TrainConfig) -> Model:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         return make_model(config.kind, config.model)
+
+
+def _started_model(config: TrainConfig, start: str | Path) -> Model:
+    model = load_checkpoint(start)
+    found, asked = to_plain(model.config), to_plain(model_config(config.kind, config.model))
+    # What a model is made of must agree; how it is taught may not.
+    differs = [name for name in asked if name not in ("swap", "free_bits") and found.get(name) != asked[name]]
+    if model.kind != config.kind or differs:
+        raise ConfigError(
+            f"{start}: its model differs from the configuration's in {', '.join(differs) or 'kind'}; "
+            "give the same 'model', or start without it"
+        )
+    model.config = model_config(config.kind, config.model)
+    return model
 
 
 def _device(name: str) -> torch.device:
@@ -461,9 +540,9 @@ def _device(name: str) -> torch.device:
     return device
 
 
-def _identity(config: TrainConfig, pack: Pack, split: Split) -> dict[str, dict[str, Any]]:
+def _identity(config: TrainConfig, pack: Pack, split: Split, start: str | Path | None) -> dict[str, dict[str, Any]]:
     """What must not change between a run and its resumption; the lengths of the run and its log may."""
-    free = ("steps", "minutes", "log_every", "validate_every", "save_every", "device")
+    free = ("steps", "minutes", "log_every", "validate_every", "save_minutes", "save_every", "device")
     settings = {name: value for name, value in asdict(config).items() if name not in free}
     data = {
         "hands": list(pack.hand_names),
@@ -471,6 +550,7 @@ def _identity(config: TrainConfig, pack: Pack, split: Split) -> dict[str, dict[s
         "grasps": len(pack.hand),
         "held": [sorted(split.scenes), int(pack.held_hands.sum())],
         "sum": round(float(pack.vectors.sum(dtype=np.float64)), 3),
+        "start": None if start is None else checkpoint_digest(start),
     }
     return {"config": settings, "data": data}
 
@@ -508,12 +588,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("config", nargs="?", type=Path, help="a YAML file; without it all defaults hold")
     parser.add_argument("--pack", type=Path, required=True, help="a training pack")
     parser.add_argument("--out", type=Path, default=Path("model"), help="folder of the model, its log and its state")
+    parser.add_argument("--from", dest="start", type=Path, help="a checkpoint whose weights to start from")
     parser.add_argument("--steps", type=int, help="another number of steps")
     parser.add_argument("--minutes", type=float, help="another limit of time")
     arguments = parser.parse_args(argv)
     try:
         config = read_train_config(arguments.config, steps=arguments.steps, minutes=arguments.minutes)
-        report = train(config, read_pack(arguments.pack), arguments.out)
+        report = train(config, read_pack(arguments.pack), arguments.out, start=arguments.start)
     except (XdexError, OSError) as error:
         print("training: " + " ".join(str(error).split()), file=sys.stderr)
         return 2

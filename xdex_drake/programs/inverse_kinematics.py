@@ -74,16 +74,29 @@ def link_pose_targets(hand: Hand, R_WLs: Array, p_WLs: Array, links: NDArray[np.
     """
     chosen = np.arange(len(hand.links)) if links is None else links
     R_HLs, _ = zero_configuration(hand)
-    points, targets = [], []
-    for axis in (None, 0, 1):
-        if axis is None:
-            points.append(np.zeros((len(chosen), 3)))
-            targets.append(p_WLs[:, chosen])
-        else:
-            points.append(ARM * R_HLs[chosen][:, axis, :])
-            targets.append(p_WLs[:, chosen] + ARM * R_WLs[:, chosen][:, :, :, axis])
-    weights = np.ones(3 * len(chosen)) / 3.0
-    return PointTargets(np.tile(chosen, 3), np.concatenate(points), np.concatenate(targets, axis=1), weights)
+    origins = np.zeros((len(chosen), 3))
+    return frame_targets(chosen, np.swapaxes(R_HLs[chosen], 1, 2), origins, R_WLs[:, chosen], p_WLs[:, chosen])
+
+
+def frame_targets(links: NDArray[np.int64], R_LFs: Array, p_LFs: Array, R_WFs: Array, p_WFs: Array) -> PointTargets:
+    """Targets from poses of frames that are fixed to links.
+
+    Args:
+        links: Index of each frame's link, shape (m,).
+        R_LFs: Rotations of the frames in their links, shape (m, 3, 3).
+        p_LFs: Origins of the frames in their links [m], shape (m, 3).
+        R_WFs: Rotations that they should have in W, shape (B, m, 3, 3).
+        p_WFs: Origins that they should have in W [m], shape (B, m, 3).
+
+    Returns:
+        Three points a frame: its origin, and one `ARM` along its x and y axes.
+    """
+    points, targets = [p_LFs], [p_WFs]
+    for axis in (0, 1):
+        points.append(p_LFs + ARM * R_LFs[:, :, axis])
+        targets.append(p_WFs + ARM * R_WFs[:, :, :, axis])
+    weights = np.ones(3 * len(links)) / 3.0
+    return PointTargets(np.tile(links, 3), np.concatenate(points), np.concatenate(targets, axis=1), weights)
 
 
 def keypoint_targets(source: Hand, X_WH: RigidTransform, q: Array, target: Hand, *, wrist: float = 0.1) -> PointTargets:

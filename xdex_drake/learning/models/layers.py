@@ -1,16 +1,18 @@
 """Building blocks of the model: PointNet, sparse U-Net, transformer block, topology bias. Shapes stand at line ends.
 
-Letters: B batch, H hands, L links (padded), N points, S clouds, V voxels, d width, h heads.
+Letters: B batch, H hands, L links (padded), T links in all (without padding), N points, S clouds, V voxels, d width,
+h heads.
 """
 
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from xdex_drake.learning.models.sparse_conv import SubmanifoldConv, VoxelGrid, coarsen, mean_by_index, voxelize
-from xdex_drake.learning.protocol import LENGTH_UNIT
+from xdex_drake.learning.protocol import LENGTH_UNIT, Clouds
 
 
 def mlp(*widths: int) -> nn.Sequential:
@@ -28,30 +30,86 @@ def mlp(*widths: int) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
+class Ragged(NamedTuple):
+    """Sets of tokens of unequal sizes, which all layers but attention see one after the other, without padding.
+
+    Attributes:
+        inside: Place of each token among the B L places of the padded batch, shape (T,), int64.
+        padded: Token of each place; some token where there is none, shape (B L,), int64.
+        owner: Set of each token, shape (T,), int64.
+        mask: True where a place has a token, shape (B, L).
+    """
+
+    inside: Tensor
+    padded: Tensor
+    owner: Tensor
+    mask: Tensor
+
+    @staticmethod
+    def of(mask: Tensor) -> "Ragged":
+        """Sets of the sizes that a mask shows, each with at least one token, the tokens in its row-major order."""
+        flat = mask.flatten()
+        inside = flat.nonzero().squeeze(1)
+        padded = flat.long().cumsum(0).sub_(1).clamp_(min=0)
+        return Ragged(inside, padded, inside // mask.shape[1], mask)
+
+    def pad(self, x: Tensor) -> Tensor:
+        """Tokens, shape (T, C), in their places, shape (B, L, C); other places hold some token."""
+        return _Select.apply(x, self.padded, self.inside).view(*self.mask.shape, -1)  # type: ignore[union-attr]
+
+    def unpad(self, x: Tensor) -> Tensor:
+        """The tokens of places, shape (B, L, C) to (T, C)."""
+        return _Select.apply(x.flatten(0, 1), self.inside, None)  # type: ignore[return-value]
+
+    def bias(self) -> Tensor:
+        """Attention bias that hides padding: 0 for real keys and -inf for padded ones, shape (B, 1, 1, L)."""
+        zero = torch.zeros(self.mask.shape, dtype=torch.float32, device=self.mask.device)
+        return zero.masked_fill(~self.mask, -torch.inf)[:, None, None, :]
+
+
+class _Select(torch.autograd.Function):
+    """Rows of x, none of which counts twice: the adjoint moves rows and never adds."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, rows: Tensor, back: Tensor | None) -> Tensor:
+        ctx.rows, ctx.back, ctx.length = rows, back, len(x)
+        return x.index_select(0, rows)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, None, None]:
+        (grad,) = grad_outputs
+        if ctx.back is not None:  # what padding holds is hidden from attention and dropped: its gradient is zero
+            return grad.index_select(0, ctx.back), None, None
+        return grad.new_zeros(ctx.length, grad.shape[1]).index_copy_(0, ctx.rows, grad), None, None
+
+
 class PointNet(nn.Module):
     """One feature for a set of points: a shared MLP, the maximum over the points, an MLP (Qi et al. 2017)."""
 
-    def __init__(self, channels_in: int, width: int) -> None:
+    def __init__(self, channels_in: int, width: int, beside: int = 0) -> None:
         """Make the network.
 
         Args:
             channels_in: Channels of a point.
             width: Width of the feature.
+            beside: Number of what is known of a set besides its points.
         """
         super().__init__()
-        self.shared = mlp(channels_in, width // 2, width)
-        self.after = mlp(width, width, width)
+        self.shared = mlp(channels_in, 64, width)
+        self.after = mlp(width + beside, width, width)
 
-    def forward(self, points: Tensor) -> Tensor:
+    def forward(self, points: Tensor, beside: Tensor | None = None) -> Tensor:
         """Describe sets of points.
 
         Args:
             points: Points, shape (..., N, channels_in).
+            beside: What else is known of each set, shape (..., beside).
 
         Returns:
             Features, shape (..., width).
         """
-        return self.after(self.shared(points).amax(dim=-2))
+        most = self.shared(points).amax(dim=-2)
+        return self.after(most if beside is None else torch.cat([most, beside], dim=-1))
 
 
 class TopologyBias(nn.Module):
@@ -84,19 +142,6 @@ class TopologyBias(nn.Module):
         return self.table.index_select(0, index.flatten()).view(*index.shape, -1).permute(0, 3, 1, 2)
 
 
-def padding_bias(mask: Tensor) -> Tensor:
-    """Attention bias that hides padding.
-
-    Args:
-        mask: True where a link is real, shape (B, L).
-
-    Returns:
-        0 for real keys and -inf for padded ones, shape (B, 1, 1, L).
-    """
-    zero = torch.zeros(mask.shape, dtype=torch.float32, device=mask.device)
-    return zero.masked_fill(~mask, -torch.inf)[:, None, None, :]
-
-
 class Block(nn.Module):
     """A transformer block, normalised before each part; with a source token it is a decoder block.
 
@@ -120,24 +165,27 @@ class Block(nn.Module):
         self.cross = nn.Linear(source_width, width) if source_width else None
         self.feed_forward = mlp(width, 2 * width, width)
 
-    def forward(self, x: Tensor, bias: Tensor, source: Tensor | None = None) -> Tensor:
+    def forward(self, x: Tensor, sets: Ragged, bias: Tensor, source: Tensor | None = None) -> Tensor:
         """Transform the tokens.
 
         Args:
-            x: Tokens, shape (B, L, d).
+            x: Tokens, shape (T, d).
+            sets: Which tokens attend to each other.
             bias: Added to attention scores, -inf hides a key, broadcastable to shape (B, h, L, L).
-            source: The source token, shape (B, source_width); None in an encoder.
+            source: The source token of each set, shape (B, source_width); None in an encoder.
 
         Returns:
-            Tokens, shape (B, L, d).
+            Tokens, shape (T, d).
         """
-        B, L, d = x.shape
-        qkv = self.qkv(self.norm_1(x)).view(B, L, 3, self.heads, d // self.heads)
-        q, k, v = qkv.permute(2, 0, 3, 1, 4)  # each (B, h, L, d / h)
-        attended = F.scaled_dot_product_attention(q, k, v, attn_mask=bias.expand(B, self.heads, L, L))
-        x = x + self.project(attended.transpose(1, 2).reshape(B, L, d))
+        B, L = sets.mask.shape
+        d = x.shape[-1]
+        qkv = sets.pad(self.qkv(self.norm_1(x))).view(B, L, 3, self.heads, d // self.heads)
+        q, k, v = qkv.float().permute(2, 0, 3, 1, 4)  # each (B, h, L, d / h)
+        with torch.autocast(x.device.type, enabled=False):  # in 16 bits its adjoint is ten times as slow on a CPU
+            attended = F.scaled_dot_product_attention(q, k, v, attn_mask=bias.expand(B, self.heads, L, L))
+        x = x + self.project(sets.unpad(attended.transpose(1, 2).reshape(B, L, d)))
         if self.cross is not None and source is not None:
-            x = x + self.cross(source)[:, None, :]
+            x = x + self.cross(source).index_select(0, sets.owner)
         return x + self.feed_forward(self.norm_2(x))
 
 
@@ -160,8 +208,15 @@ class SparseBlock(nn.Module):
         return x + self.conv_2(F.gelu(self.norm_2(y)), grid)
 
 
+POINT_CHANNELS = 7
+"""Numbers that a point of an object brings: its place within its voxel, its normal, its height over the table."""
+
+
 class SparseUNet(nn.Module):
-    """Per-point features of an object: a U-Net over voxels of one, two and four times the edge."""
+    """Per-point features of an object: a U-Net over voxels of one, two, four, ... times the edge.
+
+    Where the object stands on the table plays no part, but for the raster of the voxels.
+    """
 
     def __init__(self, channels: tuple[int, ...], width: int, voxel_size: float) -> None:
         """Make the network.
@@ -173,31 +228,40 @@ class SparseUNet(nn.Module):
         """
         super().__init__()
         self.voxel_size = voxel_size
-        self.enter = nn.Linear(7, channels[0])
+        self.enter = nn.Linear(POINT_CHANNELS, channels[0])
         self.down = nn.ModuleList([SparseBlock(c) for c in channels])
         self.widen = nn.ModuleList([nn.Linear(a, b) for a, b in pairwise(channels)])
         self.merge = nn.ModuleList([nn.Linear(a + b, a) for a, b in pairwise(channels)])
         self.up = nn.ModuleList([SparseBlock(c) for c in channels[:-1]])
-        self.leave = mlp(channels[0] + 7, width, width)
+        self.leave = mlp(channels[0] + POINT_CHANNELS, width, width)
 
-    def forward(self, points: Tensor) -> Tensor:
+    def inputs(self, clouds: Clouds, within: Tensor) -> Tensor:
+        """What is known of every point.
+
+        Args:
+            clouds: The objects.
+            within: Place of each point within its voxel, in units of its edge, shape (S N, 3).
+
+        Returns:
+            Inputs, shape (S N, 7).
+        """
+        height = (clouds.points[..., 2] - clouds.tables[:, None]).flatten()[:, None]
+        return torch.cat([within, clouds.normals.flatten(0, 1), height / LENGTH_UNIT], dim=1)
+
+    def forward(self, clouds: Clouds) -> Tensor:
         """Describe every point.
 
         Args:
-            points: Clouds relative to the object's center, axes of W [m], shape (S, N, 3).
+            clouds: The objects.
 
         Returns:
             Features, shape (S, N, width).
         """
-        S, N, _ = points.shape
-        flat = points.reshape(S * N, 3)
-        batch = torch.arange(S, device=points.device).repeat_interleave(N)
+        S, N, _ = clouds.points.shape
+        flat = clouds.points.reshape(S * N, 3)
+        batch = torch.arange(S, device=flat.device).repeat_interleave(N)
         grid, voxel = voxelize(flat, batch, self.voxel_size)
-
-        # A point is its position, its place within the voxel, and its height over the lowest point (the table).
-        within = flat / self.voxel_size - grid.cells[voxel, 1:] - 0.5
-        height = (points[..., 2] - points[..., 2].amin(dim=1, keepdim=True)).reshape(S * N, 1)
-        inputs = torch.cat([flat / LENGTH_UNIT, within, height / LENGTH_UNIT], dim=1)  # (S N, 7)
+        inputs = self.inputs(clouds, flat / self.voxel_size - grid.cells[voxel, 1:] - 0.5)
 
         x = self.enter(mean_by_index(inputs, voxel, len(grid.cells)))  # (V, C0)
         skips: list[tuple[Tensor, VoxelGrid, Tensor]] = []

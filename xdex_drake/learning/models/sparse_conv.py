@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-CENTER = 13
-"""Index of the center among the 27 cells of a 3 x 3 x 3 kernel, z fastest."""
+KERNEL = 27
+"""Cells of a 3 x 3 x 3 kernel, z fastest; cell 26 - k lies opposite of cell k."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,11 @@ class VoxelGrid:
 
     Attributes:
         cells: Cloud index and integer coordinates (b, x, y, z) of each voxel, sorted, shape (V, 4), int64.
-        outputs: For each of the 27 kernel cells, the voxels that have a neighbor there; 27 tensors of int64.
-        inputs: For each of the 27 kernel cells, that neighbor, in the same order.
+        neighbors: The voxel at each of the 27 kernel cells around each voxel, V where none is, shape (V, 27), int64.
     """
 
     cells: Tensor
-    outputs: tuple[Tensor, ...]
-    inputs: tuple[Tensor, ...]
+    neighbors: Tensor
 
 
 def voxelize(points: Tensor, batch: Tensor, size: float) -> tuple[VoxelGrid, Tensor]:
@@ -82,49 +80,45 @@ def make_grid(cells: Tensor) -> tuple[VoxelGrid, Tensor]:
     keys, index = torch.unique(((b * nx + x) * ny + y) * nz + z, return_inverse=True)
 
     step = torch.arange(-1, 2, device=cells.device)
-    offsets = ((step[:, None, None] * ny + step[None, :, None]) * nz + step).reshape(27, 1)
-    wanted = keys + offsets  # (27, V)
+    offsets = ((step[:, None, None] * ny + step[None, :, None]) * nz + step).reshape(1, KERNEL)
+    wanted = keys[:, None] + offsets  # (V, 27)
     found = torch.searchsorted(keys, wanted).clamp_(max=len(keys) - 1)
-    present = keys[found] == wanted
-    kernel_cell, outputs = present.nonzero(as_tuple=True)
-    counts = torch.bincount(kernel_cell, minlength=27).tolist()
+    neighbors = torch.where(keys[found] == wanted, found, len(keys))
 
     rest, z = keys // nz, keys % nz
     rest, y = rest // ny, rest % ny
     distinct = torch.stack([rest // nx, rest % nx, y, z], dim=1) + low
-    return VoxelGrid(distinct, outputs.split(counts), found[present].split(counts)), index
+    return VoxelGrid(distinct, neighbors), index
 
 
 class _Convolution(torch.autograd.Function):
-    """Sum over kernel cells k of x[inputs_k] W_k, scattered to outputs_k.
+    """Sum over kernel cells k of x[neighbors_k] W_k: one gather and one matrix product.
 
-    Within one kernel cell each voxel occurs once among the inputs and once among the outputs, so sums have one order on
-    any device and results repeat exactly.
+    If v is the neighbor of u at cell k, u is that of v at cell 26 - k: the adjoint is the same gather with the mirrored
+    kernel, so nothing is ever scattered, and sums have one order.
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, grid: VoxelGrid) -> Tensor:
-        ctx.save_for_backward(x, weight)
-        ctx.grid = grid
-        out = x @ weight[CENTER]
-        for k, (inputs, outputs) in enumerate(zip(grid.inputs, grid.outputs, strict=True)):
-            if k != CENTER:
-                out.index_add_(0, outputs, x.index_select(0, inputs) @ weight[k])
-        return out
+    def forward(ctx: Any, x: Tensor, weight: Tensor, neighbors: Tensor) -> Tensor:
+        around = _gather(x, neighbors)
+        ctx.save_for_backward(around, weight, neighbors)
+        return around @ weight.flatten(0, 1)
 
     @staticmethod
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, Tensor, None]:
-        x, weight = ctx.saved_tensors
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, Tensor, None]:
+        around, weight, neighbors = ctx.saved_tensors
         grad = grad_outputs[0].contiguous()
-        grad_x, grad_weight = grad @ weight[CENTER].T, torch.empty_like(weight)
-        for k, (inputs, outputs) in enumerate(zip(ctx.grid.inputs, ctx.grid.outputs, strict=True)):
-            if k == CENTER:
-                grad_weight[k] = x.T @ grad
-                continue
-            grad_k = grad.index_select(0, outputs)
-            grad_weight[k] = x.index_select(0, inputs).T @ grad_k
-            grad_x.index_add_(0, inputs, grad_k @ weight[k].T)
-        return grad_x, grad_weight, None
+        grad_weight = (around.T @ grad).view(weight.shape)
+        if not ctx.needs_input_grad[0]:
+            return None, grad_weight, None
+        mirrored = weight.flip(0).transpose(1, 2).flatten(0, 1)  # (27 out, in)
+        return _gather(grad, neighbors) @ mirrored, grad_weight, None
+
+
+def _gather(x: Tensor, neighbors: Tensor) -> Tensor:
+    """Features of the 27 cells around each voxel, zero where none is, shape (V, 27 C)."""
+    padded = torch.cat([x, x.new_zeros(1, x.shape[1])])
+    return padded.index_select(0, neighbors.flatten()).view(len(x), -1)
 
 
 class SubmanifoldConv(nn.Module):
@@ -143,7 +137,7 @@ class SubmanifoldConv(nn.Module):
         super().__init__()
         # On a surface about nine of the 27 cells are occupied: they, not all 27, are the fan-in.
         scale = (2.0 / (9 * channels_in)) ** 0.5
-        self.weight = nn.Parameter(torch.randn(27, channels_in, channels_out) * scale)
+        self.weight = nn.Parameter(torch.randn(KERNEL, channels_in, channels_out) * scale)
         self.bias = nn.Parameter(torch.zeros(channels_out))
 
     def forward(self, x: Tensor, grid: VoxelGrid) -> Tensor:
@@ -156,7 +150,11 @@ class SubmanifoldConv(nn.Module):
         Returns:
             Features of the same voxels, shape (V, out).
         """
-        return _Convolution.apply(x, self.weight, grid) + self.bias  # type: ignore[operator]
+        weight = self.weight
+        if torch.is_autocast_enabled(x.device.type):  # which cannot see into a function with an adjoint of its own
+            half = torch.get_autocast_dtype(x.device.type)
+            x, weight = x.to(half), weight.to(half)
+        return _Convolution.apply(x, weight, grid.neighbors) + self.bias  # type: ignore[operator]
 
 
 def mean_by_index(x: Tensor, index: Tensor, count: int) -> Tensor:
