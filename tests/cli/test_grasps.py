@@ -174,7 +174,9 @@ def test_view_writes_pages(grasps, tmp_path):
 @pytest.mark.slow
 def test_quick_demo(tmp_path, capsys):
     assert main(["demo", "--quick", "--workers", "1", "--out", str(tmp_path / "report")]) == 0
-    assert "<html" in (tmp_path / "report" / "index.html").read_text()[:2000].lower()
+    text = (tmp_path / "report" / "index.html").read_text()
+    assert "<html" in text[:2000].lower()
+    assert '<article class="good pair">' in text  # a grasp beside the one that it comes from
     assert read_grasps(tmp_path / "report" / "grasps.parquet")
 
 

@@ -140,3 +140,20 @@ def test_grasp_is_shown_without_pictures_where_none_can_be_made(monkeypatch, gra
     assert "no picture" in text
     assert "as it is" in text
     assert "<a " not in text
+
+
+def test_a_pair_stands_side_by_side_and_facts_are_folded(tmp_path, grasp):
+    picture = np.zeros((30, 40, 3), dtype=np.uint8)
+    lifted = replace(grasp, lift=Lift("lift-0.2/2tips", True, "", 0.25, ("thumb", "index"), 0.4))
+    source = ReportGrasp(replace(lifted, grasp_id="one"), "Allegro", picture, "source")
+    other = ReportGrasp(replace(lifted, grasp_id="two", source_grasp_id="one"), "Shadow", picture, "other")
+    alone = ReportGrasp(replace(lifted, grasp_id="three", source_grasp_id="elsewhere"), "Ability", picture, "alone")
+    text = write_report(
+        tmp_path, [ReportSection("a", grasps=[source]), ReportSection("b", grasps=[other, alone])]
+    ).read_text()
+    cards = re.findall(r"<article.*?</article>", text, flags=re.S)
+    assert ["pair" in card.split(">")[0] for card in cards] == [False, True, False]
+    assert re.findall(r'href="(.*?)"', cards[1]) == ["replays/one.html", "replays/two.html"]
+    for card in cards:
+        before, _, folded = card.partition("<details>")
+        assert before.count("<dt>") == 3 and folded.count("<dt>") >= 5

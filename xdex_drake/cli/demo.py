@@ -59,10 +59,10 @@ class Demo:
         path = _Path(self.seed, 0 if self.workers == 1 else self.workers)
         objects, targets = (OBJECTS[:1], TARGETS[:1]) if self.quick else (OBJECTS, TARGETS)
         with keeping_finished_work() as interruption:
-            path.synthesize(objects, count=2 if self.quick else 6)
+            path.synthesize(objects, count=2 if self.quick else 4)
             path.retarget(targets)
             path.predict(PREDICTED[:1] if self.quick else PREDICTED, objects[0], count=8 if self.quick else 16)
-            path.show(most=1 if self.quick else 2)
+            path.show()
         index = path.write(self.out, f"xdex demo{' --quick' if self.quick else ''} --seed {self.seed}")
         rows = [(stage.title, *key, *tally.row()) for stage in path.stages for key, tally in stage.tallies.items()]
         header = ("stage", "hand", "object", "tried", "certified", "lifted", "rejected by", "failed by")
@@ -156,28 +156,41 @@ class _Path:
         from xdex_drake.hand.library import load_hand
         from xdex_drake.jobs.stored import RetargetUnit, retarget_all
 
-        text = "Fingertips and wrist are matched by name, under the same constraints as any grasp."
+        text = (
+            "Fingertips and wrist are matched by name, under the same constraints as any grasp. For each hand and "
+            "object the lifted grasps are carried over in turn until one of them lifts."
+        )
         stage = self._begin("The same grasps by other hands", text)
-        sources = [(g, scene) for g, scene in self.stages[0].grasps if g.lift is not None and g.lift.success]
+        sources: defaultdict[str, list[tuple[Grasp, SceneFacts]]] = defaultdict(list)
+        for grasp, scene in self.stages[0].grasps:
+            if grasp.lift is not None and grasp.lift.success:
+                sources[grasp.object].append((grasp, scene))
         hands = {name: load_hand(name) for name in targets}
         points = {row["grasp_id"]: row["object_point_O"] for row in self.file_rows}
-        scenes = {facts: facts.build() for facts in dict.fromkeys(scene for _, scene in sources)}
-        units = [
-            RetargetUnit(k, grasp, scene, SOURCE, target)
-            for target in targets
-            for k, (grasp, scene) in enumerate(sources)
-        ]
-        with progress(len(units), "retarget") as bar:
-            for unit, outcome in retarget_all(units, workers=self.workers):
-                tally = stage.tallies[unit.target, unit.grasp.object]
-                tally.add(outcome)
-                if outcome.grasp is not None:
+        scenes = {
+            facts: facts.build() for facts in dict.fromkeys(scene for each in sources.values() for _, scene in each)
+        }
+        wanted = {(target, name) for target in targets for name in sources}
+        with progress(len(wanted), "retarget") as bar:
+            for k in range(max((len(each) for each in sources.values()), default=0)):
+                units = [
+                    RetargetUnit(k, *sources[name][k], SOURCE, target)
+                    for target, name in sorted(wanted)
+                    if k < len(sources[name])
+                ]
+                for unit, outcome in retarget_all(units, workers=self.workers):
+                    tally = stage.tallies[unit.target, unit.grasp.object]
+                    tally.add(outcome)
+                    if outcome.grasp is None:
+                        continue
                     tally.seconds += outcome.grasp.seconds
                     stage.grasps.append((outcome.grasp, unit.scene))
                     self.file_rows += rows_of(
                         [outcome.grasp], hands[unit.target], scenes[unit.scene], source_points=points
                     )
-                bar.update()
+                    if outcome.grasp.lift is not None and outcome.grasp.lift.success:
+                        wanted.remove((unit.target, unit.grasp.object))
+                        bar.update()
 
     def predict(self, hands: Sequence[str], name: str, count: int) -> None:
         """Grasps from the model that the library ships."""
@@ -210,20 +223,26 @@ class _Path:
                 stage.grasps += [(grasp, facts) for grasp in batch.grasps]
                 bar.update(unit.count)
 
-    def show(self, most: int) -> None:
-        """Pictures and replays of the first lifted grasps of each hand and object."""
+    def show(self) -> None:
+        """Pictures and replays: a lifted grasp of each hand and object, and the grasps that it comes from."""
         from xdex_drake.jobs.ordered import in_order
 
-        units = []
-        for number, stage in enumerate(self.stages):
-            shown: dict[tuple[str, str], int] = {}
-            for grasp, scene in stage.grasps:
-                key = (grasp.hand, grasp.object)
-                if grasp.lift is not None and grasp.lift.success and shown.get(key, 0) < most:
-                    shown[key] = shown.get(key, 0) + 1
-                    units.append(ShowUnit(number, grasp, scene, replay=shown[key] == 1))
-        with progress(len(units), "pictures and replays") as bar:
-            for done in in_order(units, run_show, workers=self.workers):
+        chosen: list[ShowUnit] = []
+        sources: set[str] = set()
+        # From the last stage to the first: what is carried over is shown beside what it comes from.
+        for number, stage in reversed(list(enumerate(self.stages))):
+            shown: set[str] = set()
+            lifted = [(g, scene) for g, scene in stage.grasps if g.lift is not None and g.lift.success]
+            lifted.sort(key=lambda item: item[0].grasp_id not in sources)
+            for grasp, scene in lifted:
+                key = f"{grasp.hand} {grasp.object}"
+                if key not in shown or grasp.grasp_id in sources:
+                    shown.add(key)
+                    sources.add(grasp.source_grasp_id)
+                    chosen.append(ShowUnit(number, grasp, scene))
+        chosen.reverse()
+        with progress(len(chosen), "pictures and replays") as bar:
+            for done in in_order(chosen, run_show, workers=self.workers):
                 if done.value is not None:
                     self.stages[done.unit.stage].shown.append(done.value)
                 bar.update()
@@ -253,13 +272,11 @@ class ShowUnit:
         stage: Number of its stage.
         grasp: The grasp.
         scene: Its scene.
-        replay: Whether its lift is recorded.
     """
 
     stage: int
     grasp: Grasp
     scene: SceneFacts
-    replay: bool
 
 
 def run_show(unit: ShowUnit) -> ReportGrasp:
@@ -276,4 +293,4 @@ def run_show(unit: ShowUnit) -> ReportGrasp:
 
     # Meshcat tells of each address that it listens at.
     logging.getLogger("drake").setLevel(logging.WARNING)
-    return show_grasp(unit.grasp, load_hand(unit.grasp.hand), unit.scene.build(), replay=unit.replay)
+    return show_grasp(unit.grasp, load_hand(unit.grasp.hand), unit.scene.build())

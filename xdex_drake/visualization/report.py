@@ -31,6 +31,9 @@ _log = logging.getLogger(__name__)
 
 JPEG_QUALITY = 85
 
+FACTS = 3
+"""Facts that a card shows; the others are folded."""
+
 
 @dataclass(frozen=True)
 class ReportRow:
@@ -246,19 +249,17 @@ def _verdict(lift: Lift | None) -> tuple[str, str]:
 
 
 def _figures(grasp: Grasp) -> list[tuple[str, str]]:
-    """Name and value of what is known of a grasp in numbers."""
+    """Name and value of what is known of a grasp in numbers, what matters most first."""
+    first: list[tuple[str, str]] = []
     figures: list[tuple[str, str]] = []
     if grasp.lift is not None:
-        tips = ", ".join(grasp.lift.fingertips) or "none"
-        figures += [
-            ("rise", _number(round(100.0 * grasp.lift.lift_height_m, 1) + 0.0, ".1f", " cm")),
-            ("fingertips", tips),
-        ]
+        first.append(("rise", _number(round(100.0 * grasp.lift.lift_height_m, 1) + 0.0, ".1f", " cm")))
+        first.append(("fingertips", ", ".join(grasp.lift.fingertips) or "none"))
     if (certificate := grasp.certificate) is not None:
+        first.append(("friction left", _number(100.0 * certificate.friction_left, ".0f", " %")))
         figures += [
             ("contacts", str(len(certificate.contacts))),
             ("residual", _number(certificate.wrench_residual, ".1e")),
-            ("friction left", _number(100.0 * certificate.friction_left, ".0f", " %")),
             ("task margin", _number(certificate.task_margin, ".2f")),
             (
                 "ball margin",
@@ -272,13 +273,14 @@ def _figures(grasp: Grasp) -> list[tuple[str, str]]:
         figures.append(("retargeted from", grasp.source_grasp_id))
     if grasp.seconds > 0.0:
         figures.append(("found in", _seconds(grasp.seconds)))
-    return figures
+    if grasp.grasp_id:
+        figures.append(("grasp", grasp.grasp_id))
+    return first + figures
 
 
-def _card(shown: ReportGrasp, link: str) -> str:
-    grasp = shown.grasp
-    kind, words = _verdict(grasp.lift)
-    name = f"{shown.hand_name or grasp.hand}, {grasp.object}"
+def _picture(shown: ReportGrasp, link: str, caption: str = "") -> str:
+    """A grasp's picture, which opens its replay where there is one."""
+    name = f"{shown.hand_name or shown.grasp.hand}, {shown.grasp.object}"
     if shown.picture is not None:
         height, width = shown.picture.shape[:2]
         data = base64.b64encode(encode_jpeg(shown.picture)).decode("ascii")
@@ -288,19 +290,36 @@ def _card(shown: ReportGrasp, link: str) -> str:
     if shown.replay:
         label = f"Replay the lift of {name}"
         figure = f'<a class="play" href="{_e(link)}" aria-label="{_e(label)}">{figure}<span>&#9654; replay</span></a>'
-    figures = "".join(f"<dt>{_e(key)}</dt><dd>{_e(value)}</dd>" for key, value in _figures(grasp))
+    return f"<figure>{figure}<figcaption>{_e(caption)}</figcaption></figure>" if caption else figure
+
+
+def _card(shown: ReportGrasp, links: Mapping[int, str], source: ReportGrasp | None) -> str:
+    """A grasp; beside it the one that it comes from, where that is shown somewhere on the page."""
+    grasp = shown.grasp
+    kind, words = _verdict(grasp.lift)
+    name = f"{shown.hand_name or grasp.hand}, {grasp.object}"
+    figure = _picture(shown, links[id(shown)])
+    if source is not None:
+        pair = ((source, source.hand_name or source.grasp.hand), (shown, shown.hand_name or grasp.hand))
+        figure = f'<div class="two">{"".join(_picture(each, links[id(each)], hand) for each, hand in pair)}</div>'
+    figures = [f"<dt>{_e(key)}</dt><dd>{_e(value)}</dd>" for key, value in _figures(grasp)]
+    rest = "".join(figures[FACTS:])
+    more = f"<details><summary>more</summary><dl>{rest}</dl></details>" if rest else ""
     note = f'<p class="note">{_e(shown.note)}</p>' if shown.note else ""
-    identifier = f'<p class="id">{_e(grasp.grasp_id)}</p>' if grasp.grasp_id else ""
+    classes = f"{kind} pair" if source is not None else kind
     return (
-        f'<article class="{kind}">{figure}<div class="body"><h3>{_e(name)} <span class="badge">{_e(words)}</span></h3>'
-        f"{note}<dl>{figures}</dl>{identifier}</div></article>"
+        f'<article class="{classes.strip()}">{figure}<div class="body"><h3>{_e(name)} '
+        f'<span class="badge">{_e(words)}</span></h3>{note}<dl>{"".join(figures[:FACTS])}</dl>{more}</div></article>'
     )
 
 
-def _section(section: ReportSection, links: Mapping[int, str]) -> str:
+def _section(section: ReportSection, links: Mapping[int, str], by_id: Mapping[str, ReportGrasp]) -> str:
     text = f"<p>{_e(section.text)}</p>" if section.text else ""
     table = _table(section.rows) if section.rows else ""
-    cards = "".join(_card(shown, links[id(shown)]) for shown in section.grasps)
+    cards = ""
+    for shown in section.grasps:
+        source = by_id.get(shown.grasp.source_grasp_id)
+        cards += _card(shown, links, None if source is shown else source)
     grid = f'<div class="grid">{cards}</div>' if cards else ""
     return f"<section><h2>{_e(section.title)}</h2>{text}{table}{grid}</section>"
 
@@ -355,7 +374,8 @@ def _page(
     replays = any(shown.replay for section in sections for shown in section.grasps)
     hint = " A picture opens the recorded simulation; drag to turn it." if replays else ""
     lead = f"<p>{_e(intro)}{hint}</p>" if intro or hint else ""
-    body = "".join(_section(section, links) for section in sections)
+    by_id = {g.grasp.grasp_id: g for section in sections for g in section.grasps if g.grasp.grasp_id}
+    body = "".join(_section(section, links, by_id) for section in sections)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -414,8 +434,13 @@ th.n, td.n { text-align: right; }
 tr.total td { font-weight: 600; border-bottom: none; }
 .grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(270px, 100%), 1fr)); gap: 18px;
   margin-top: 18px; }
-article { background: var(--card); border: 1px solid var(--line); border-radius: 10px; overflow: hidden; }
+article { background: var(--card); border: 1px solid var(--line); border-radius: 10px; overflow: hidden; min-width: 0; }
 article img { display: block; width: 100%; height: auto; }
+article.pair { grid-column: span 2; }
+@media (max-width: 620px) { article.pair { grid-column: auto; } }
+.two { display: grid; grid-template-columns: 1fr 1fr; gap: 2px; }
+figure { margin: 0; }
+figcaption { padding: 3px 10px; font-size: 0.8rem; color: var(--soft); text-align: center; }
 .blank { aspect-ratio: 4 / 3; display: grid; place-items: center; color: var(--soft); background: var(--page); }
 .play { display: block; position: relative; color: inherit; }
 .play span { position: absolute; right: 10px; bottom: 10px; padding: 2px 10px; border-radius: 999px; font-size: 0.8rem;
@@ -430,8 +455,8 @@ dl { display: grid; grid-template-columns: auto 1fr; gap: 1px 12px; margin: 0; f
 dt { color: var(--soft); }
 dd { margin: 0; overflow-wrap: anywhere; }
 .note { margin: 0 0 6px; font-size: 0.86rem; }
-.id { margin: 8px 0 0; font-size: 0.75rem; color: var(--soft); overflow-wrap: anywhere; }
 details { margin: 12px 0; }
+.body details { margin: 6px 0 0; font-size: 0.86rem; }
 summary { cursor: pointer; color: var(--link); }
 details ul { margin: 8px 0; padding-left: 20px; font-size: 0.9rem; }
 details dl { margin: 8px 0 0; }
