@@ -18,6 +18,7 @@ from .grasp import Contact as Contact
 from .grasp import Grasp as Grasp
 from .grasp import Lift as Lift
 from .grasping.approach import straight_approach as straight_approach
+from .grasping.execution import execution_package as execution_package
 from .grasping.finish import finish_grasp as finish_grasp
 from .grasping.retarget import retarget as retarget
 from .grasping.synthesis import synthesize as synthesize
@@ -100,6 +101,7 @@ from .simulation.protocol import (
 )
 from .simulation.robust import RobustLift as RobustLift
 from .simulation.robust import robust_lift as robust_lift
+from .simulation.scenes import export_scenes as export_scenes
 from .visualization.dress import dress as dress
 from .visualization.film import film_lift as film_lift
 from .visualization.hand_browser import browser_page as browser_page

@@ -25,7 +25,7 @@ def grasps(tmp_path_factory):
 
 def judged(file, folder, *words):
     out = folder / "judged.parquet"
-    status = main(["judge", str(file), *words, "--workers", "1", "--out", str(out)])
+    status = main(["judge", str(file), *words, "--workers", "0", "--out", str(out)])
     assert status == 0, words
     return pq.read_table(out).to_pylist()
 
@@ -75,6 +75,16 @@ def test_what_a_file_lacks_is_made_by_rule(grasps, tmp_path, capsys):
         (["--hand", "allegro", "--frame", "base_link"], "names no object; give the mesh by --object"),
     ):
         refused(capsys, [str(file), *words], said)
+
+
+def test_a_deep_grasp_is_told_by_its_depth(grasps, tmp_path):
+    file = exported(grasps, "isaac_grasp", tmp_path)
+    content = yaml.safe_load(file.read_text())
+    one = next(iter(content["grasps"].values()))
+    one["position"] = [0.9 * x for x in one["position"]]
+    file.write_text(yaml.safe_dump(content))
+    row = judged(file, tmp_path)[0]
+    assert not row["certified"] and row["reason"].startswith("penetration: ") and row["penetration_mm"] > 2.0
 
 
 def refused(capsys, words, *said):

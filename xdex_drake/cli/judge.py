@@ -55,7 +55,7 @@ class Judge:
         simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. Repeatable.
         out: The table as Parquet, a row a grasp.
         grasps: Also write the grasps as a file of this library, for `xdex view` and `xdex lift`.
-        workers: Number of processes that work.
+        workers: Number of processes that work; 0 for this one alone.
     """
 
     file: tyro.conf.Positional[Path]
@@ -98,7 +98,7 @@ class Judge:
         units = [replace(unit, protocols=protocols, simulators=simulators) for unit in units]
         begin, rows, grasp_rows, found = time.perf_counter(), [], [], []
         with keeping_finished_work() as interruption, progress(len(units), "judge") as bar:
-            for unit, judgement, grasp in judge_all(units, workers=max(1, self.workers)):
+            for unit, judgement, grasp in judge_all(units, workers=max(0, self.workers)):
                 found.append(judgement)
                 rows.append({"hand": unit.grasp.hand, "object": unit.grasp.object, **row_of(judgement)})
                 if self.grasps is not None:

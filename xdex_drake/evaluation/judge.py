@@ -148,9 +148,7 @@ def judge(unit: JudgeUnit) -> tuple[Judgement, Grasp]:
     depths = (grasp.penetration_parts_m, grasp.penetration_mesh_m)
     low, high = hand.limits
     beyond = max(float(np.maximum(low - grasp.q, grasp.q - high).max(initial=0.0)), unit.off_coupling)
-    reason = found.reason
-    if not reason and max(depths) > PENETRATION:
-        reason = f"penetration: {1e3 * max(depths):.1f} mm"
+    reason = f"penetration: {1e3 * max(depths):.1f} mm" if max(depths) > PENETRATION else found.reason
     if not reason and beyond > LIMITS:
         reason = f"limits: a joint is {beyond:.3f} beyond them, or off its coupling law"
     prepared, made = completed(hand, scene, grasp)
