@@ -27,7 +27,14 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 GENERATED = DOCS / "generated"
 EXECUTED = ROOT / "build" / "docs" / "tutorials"
-PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".svg": "image/svg+xml"}
+PICTURES = {".png", ".jpg", ".svg"}
+LIVE = """<iframe class="live" src="{folder}/{page}" title="{page}" loading="lazy"></iframe>
+<p class="live"><a href="{folder}/{page}">{page}</a>, a page of its own that needs no network</p>"""
+LIVE_STILL = """<figure class="live"><img src="{folder}/{still}" alt="{page.stem}"/><figcaption>
+<button type="button" onclick="const live = document.createElement('iframe'); live.className = 'live';
+live.src = '{folder}/{page}'; live.title = '{page}'; this.closest('figure').querySelector('img').replaceWith(live);
+this.remove()">&#9654; play it here</button>
+<a href="{folder}/{page}">{page}</a>, a page of its own that needs no network</figcaption></figure>"""
 ROOMS = {
     "hand": "Hands",
     "scene": "Objects and scenes",
@@ -80,8 +87,8 @@ def write_tutorials() -> None:
     rows, cards = [], []
     for path, notebook in zip(paths, notebooks, strict=True):
         for cell in notebook.cells:
-            for name in cell.metadata.get("wrote", []):
-                cell.outputs += shown(path.stem, EXECUTED / path.stem / "files" / name)
+            if cell.cell_type == "code":
+                cell.outputs += shown(path.stem, cell.metadata.get("wrote", []))
         if not any(file.suffix in PICTURES for file in (EXECUTED / path.stem / "files").iterdir()):
             raise RuntimeError(f"{path.name} wrote no picture; let it write one, on a machine that can render")
         notebook.metadata["language_info"] = {"name": "python", "pygments_lexer": "python"}
@@ -151,20 +158,22 @@ def tidy(outputs: list[Any]) -> list[Any]:
     return [*([nbformat.v4.new_output("stream", name="stdout", text=printed)] if printed else []), *others]
 
 
-def shown(tutorial: str, file: Path) -> list[Any]:
-    """What the site shows of a file that a cell wrote: a picture, a live page, or nothing."""
-    if file.suffix == ".html":
-        address = f"../../live/{tutorial}/{file.name}"
-        html = (
-            f'<iframe class="live" src="{address}" title="{file.name}" loading="lazy"></iframe>'
-            f'<p><a href="{address}">{file.name}</a>, a page of its own that needs no network</p>'
+def shown(tutorial: str, names: list[str]) -> list[Any]:
+    """What the site shows of the files that a cell wrote: pictures, and live pages, which start when asked to."""
+    outputs, folder = [], f"../../live/{tutorial}"
+    pages = [Path(name) for name in names if name.endswith(".html")]
+    pictures = [Path(name) for name in names if Path(name).suffix in PICTURES]
+    stills = {picture.stem: picture.name for picture in pictures}
+    for page in pages:
+        still = stills.get(page.stem)
+        outputs.append(
+            LIVE_STILL.format(folder=folder, still=still, page=page) if still else LIVE.format(folder=folder, page=page)
         )
-        return [nbformat.v4.new_output("display_data", {"text/html": html})]
-    if file.suffix in PICTURES:
-        # As a link to the file: SVG text would lose its own styles inside of the page.
-        html = f'<img class="picture" src="../../live/{tutorial}/{file.name}" alt="{file.stem}"/>'
-        return [nbformat.v4.new_output("display_data", {"text/html": html})]
-    return []
+    for picture in pictures:
+        if picture.stem not in {page.stem for page in pages}:
+            # As a link to the file: SVG text would lose its own styles inside of the page.
+            outputs.append(f'<img class="picture" src="{folder}/{picture.name}" alt="{picture.stem}"/>')
+    return [nbformat.v4.new_output("display_data", {"text/html": html}) for html in outputs]
 
 
 def opening(notebook: Any) -> tuple[str, str]:
