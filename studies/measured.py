@@ -175,15 +175,15 @@ def meshes(path: Path) -> str:
 
 
 @row(
-    "draws of the small model that ships, refined: lifted of drawn (can, bottle, mug)",
+    "draws of the small model that ships, refined: lifted of drawn (can, bottle)",
     "predictions/results.csv",
-    "python studies/predictions/run.py studies/predictions/results.csv",
+    "python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can,bottle",
 )
 def predictions(path: Path) -> str:
     """Predictions."""
     rows, parts = read(path), []
     for hand, name in NAMES.items():
-        here = [line for line in rows if line["hand"] == hand]
+        here = [line for line in rows if line["hand"] == hand and line["stage"] == "refined"]
         parts.append(
             f"{name} {sum(int(line['lifted']) for line in here)} of {sum(int(line['drawn']) for line in here)}"
         )

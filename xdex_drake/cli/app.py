@@ -72,6 +72,7 @@ COMMANDS: dict[str, Entry] = {
     "dataset pack": Entry("datasets", "DatasetPack", "all that training needs, in one file"),
     "train": Entry("datasets", "Train", "train the cross-embodiment model"),
     "predict": Entry("predict", "Predict", "grasps from the model, made feasible and certified"),
+    "evaluate": Entry("evaluate", "Evaluate", "judge a model: raw, refined, best of many, hand by hand; or the ladder"),
     "view": Entry("show", "View", "stored grasps in Meshcat, live or as one page"),
     "export": Entry("export", "Export", "stored grasps in other tools' formats"),
     "bench": Entry("bench", "Bench", "how long search, polish, certificate and lift take here"),

@@ -17,6 +17,7 @@ from xdex_drake.cli.output import (
     facts,
     keeping_finished_work,
     one_thread,
+    print_yaml,
     progress,
     table,
 )
@@ -64,7 +65,7 @@ class DatasetGenerate:
 
         config = DatasetConfig() if self.config is None else read_typed_yaml(self.config, DatasetConfig)
         if self.print_config:
-            return _print_yaml(config)
+            return print_yaml(config)
         if self.config is None:
             raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
         if self.workers < 0:
@@ -391,7 +392,7 @@ class Train:
 
         config = read_train_config(self.config, steps=self.steps, minutes=self.minutes)
         if self.print_config:
-            return _print_yaml(config)
+            return print_yaml(config)
         if self.data is not None and self.pack is not None:
             raise ConfigError("--data and --pack are both given; give one of them")
         check_writable(self.out / "model.safetensors")
@@ -416,16 +417,6 @@ def _part(text: str) -> tuple[int, int]:
     if not (slash and number.isdecimal() and count.isdecimal()):
         raise ConfigError(f"--shard is {text!r}; give the part and how many there are, like 2/8")
     return int(number), int(count)
-
-
-def _print_yaml(config: object) -> int:
-    """Prints a configuration as YAML, ready to be changed."""
-    import yaml
-
-    from xdex_drake.typed_yaml import to_plain
-
-    print(yaml.safe_dump(to_plain(config), sort_keys=False, default_flow_style=None), end="")
-    return 0
 
 
 def _print_info(folder: Path) -> int:

@@ -172,3 +172,13 @@ def one_thread() -> None:
         os.environ[name] = "1"
     # Arrow's allocator would have a thread of its own, and only a process of one thread is forked for its workers.
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
+
+
+def print_yaml(config: object) -> int:
+    """Prints a configuration as YAML, ready to be changed; returns 0."""
+    import yaml
+
+    from xdex_drake.typed_yaml import to_plain
+
+    print(yaml.safe_dump(to_plain(config), sort_keys=False, default_flow_style=None), end="")
+    return 0

@@ -282,7 +282,12 @@ def finish(
     """
     outcome = None
     for program in candidate.programs():
-        outcome = polish(program, solver=solver, protocol=protocol, demands=demands)
+        if isinstance(program, Grasp):
+            outcome = Outcome(program)
+        elif isinstance(program, Rejection):
+            outcome = Outcome(None, program)
+        else:
+            outcome = polish(program, solver=solver, protocol=protocol, demands=demands)
         if outcome.grasp is not None:
             grasp = replace(
                 outcome.grasp,

@@ -15,6 +15,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.grasp import Grasp
+from xdex_drake.grasping.reasons import Rejection
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings, program_of_candidate
 from xdex_drake.programs.program import GraspProgram
@@ -29,13 +30,14 @@ class Candidate:
 
     Attributes:
         name: Its name among the candidates of one call, part of the grasp's identifier.
-        programs: Gives the programs that are solved in turn until one of them ends in a grasp, built one by one.
+        programs: Gives the programs that are solved in turn until one of them ends in a grasp, built one by one; in the
+            place of a program may stand a grasp, which is taken as it is, or the reason why there is none.
         seconds: Its share of what was done for all candidates at once [s].
         source_grasp_id: Identifier of the grasp that it comes from; empty where it comes from none.
     """
 
     name: str
-    programs: Callable[[], Iterator[GraspProgram]]
+    programs: Callable[[], Iterator[GraspProgram | Grasp | Rejection]]
     seconds: float = 0.0
     source_grasp_id: str = ""
 

@@ -20,6 +20,7 @@ class Reason(StrEnum):
     PREGRASP = "pregrasp"
     APPROACH = "approach"
     HOLD = "hold"
+    INVERSE_KINEMATICS = "inverse kinematics"
 
 
 WORDS = {
@@ -30,6 +31,7 @@ WORDS = {
     Reason.PENETRATION: "the hand is more than the allowed depth inside the object",
     Reason.PREGRASP: "no way was found to open the hand and come near the object without touching it",
     Reason.APPROACH: "the open hand has no straight way of 10 cm to the object that is clear of object and table",
+    Reason.INVERSE_KINEMATICS: "the hand's joints cannot bring its fingertips where they were predicted",
     Reason.HOLD: "the hand holds the object, but pushes of its own weight are foretold to tear it from the grasp",
 }
 """What each reason means, for people; those of constraints are `CONSTRAINT_WORDS`."""

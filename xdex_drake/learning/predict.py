@@ -123,10 +123,28 @@ def neural_retarget(
         The target's grasps.
     """
     mean, indices = encode(model, source, object, R_WGs, p_WGs, p_WPoints)
+    return decode(model, target, object, mean, indices)
+
+
+def decode(
+    model: LatentModel, hand: HandFeatures, object: ObjectFeatures, latents: Array, point_indices: np.ndarray
+) -> Prediction:
+    """The grasps of given latents.
+
+    Args:
+        model: The model.
+        hand: The hand.
+        object: The object.
+        latents: Latents, shape (count, D).
+        point_indices: Indices of the object's points that they are conditioned on, shape (count,).
+
+    Returns:
+        The grasps.
+    """
     with torch.inference_mode():
-        latents, points = _tensor(mean, model), _indices(indices, model)
-        poses = model.decode_grasps(one_hand(target, model), one_cloud(object, model), latents, points)
-        return _prediction(Drawn(poses, points, latents), object)
+        z, points = _tensor(latents, model), _indices(point_indices, model)
+        poses = model.decode_grasps(one_hand(hand, model), one_cloud(object, model), z, points)
+        return _prediction(Drawn(poses, points, z), object)
 
 
 def one_hand(hand: HandFeatures, model: Model) -> HandBatch:

@@ -146,30 +146,59 @@ def refined_starts(
     Returns:
         The warm start first, then the others, least energy first.
     """
-    rng, count = np.random.default_rng(seed), retry.starts
     X_WH, q = warm_start(source, source_hand, target)
-    fingers = np.tile(corresponding_fingers(_touching_fingers(source, source_hand), target), (1 + count, 1))
+    fingers = corresponding_fingers(_touching_fingers(source, source_hand), target)
+    rng = np.random.default_rng(seed)
+    starts = jittered_starts(target, X_WH, q, fingers, rng, retry=retry, contacts=settings.contacts)
+    found = refine(target, scene, starts, settings=settings)
+    order = np.concatenate([[0], 1 + np.argsort(found.energy[1:], kind="stable")]).astype(int)
+    return Candidates(
+        found.R_WHs[order], found.p_WHs[order], found.qs[order], found.fingers[order], found.energy[order], {}
+    )
+
+
+def jittered_starts(
+    hand: Hand,
+    X_WH: RigidTransform,
+    q: Array,
+    fingers: NDArray[np.bool_],
+    rng: np.random.Generator,
+    *,
+    retry: RetrySettings = RETRY,
+    contacts: int = REFINEMENT.contacts,
+) -> Candidates:
+    """A configuration, and others about it, some of which touch with other fingers.
+
+    Args:
+        hand: The hand.
+        X_WH: Wrist pose.
+        q: Joint values, shape (n,).
+        fingers: Which fingers shall touch, in the order of `hand.fingers`.
+        rng: Generator of the jitter and of the other fingers.
+        retry: How many others, and how far about.
+        contacts: Greatest number of fingers in a drawn set.
+
+    Returns:
+        The configuration itself first, then the others, energies zero.
+    """
+    count = retry.starts
+    sets = np.tile(fingers, (1 + count, 1))
     others = round(retry.other_fingers * count)
     if others:
-        fingers[1 : 1 + others] = random_contact_sets(target, rng, others, settings.contacts)
-    low, high = target.limits
+        sets[1 : 1 + others] = random_contact_sets(hand, rng, others, contacts)
+    low, high = hand.limits
     jittered = np.arange(1 + count) > 0  # all but the first
     shape = (1 + count, 3)
     turns = Rotation.from_rotvec(retry.turn * jittered[:, None] * rng.normal(size=shape)).as_matrix()
     shifts = retry.shift * jittered[:, None] * rng.normal(size=shape)
     bends = retry.joints * (high - low) * jittered[:, None] * rng.normal(size=(1 + count, len(q)))
-    starts = Candidates(
+    return Candidates(
         R_WHs=turns @ X_WH.rotation().matrix(),
         p_WHs=X_WH.translation() + shifts,
         qs=np.clip(q + bends, low, high),
-        fingers=fingers,
+        fingers=sets,
         energy=np.zeros(1 + count),
         terms={},
-    )
-    found = refine(target, scene, starts, settings=settings)
-    order = np.concatenate([[0], 1 + np.argsort(found.energy[1:], kind="stable")]).astype(int)
-    return Candidates(
-        found.R_WHs[order], found.p_WHs[order], found.qs[order], found.fingers[order], found.energy[order], {}
     )
 
 
