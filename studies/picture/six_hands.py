@@ -28,7 +28,7 @@ from xdex_drake.visualization.pictures import FOV_Y
 from xdex_drake.visualization.views import Blobs, best_direction, frame_blobs, grasp_blobs
 
 SIZE = (1000, 360)
-GAP = 0.30
+GAP = 0.36
 """Distance of neighbors [m]."""
 
 EVERY = 2
@@ -88,7 +88,7 @@ def main() -> None:
         np.concatenate([b.centers_W + offset for b, offset in zip(blobs, offsets, strict=True)]),
         np.concatenate([b.radii for b in blobs]),
     )
-    X_WC = frame_blobs(everything, np.array([0.0, -1.0, 0.28]), fov_y=FOV_Y, aspect=SIZE[0] / SIZE[1], margin=1.02)
+    X_WC = frame_blobs(everything, np.array([0.0, -1.0, 0.42]), fov_y=FOV_Y, aspect=SIZE[0] / SIZE[1], margin=1.02)
     last = max(len(film.frames) for film in films) - 1
     moments = [*range(0, last, EVERY), *([last] * HOLD_FRAMES)]
     distinct = sorted(set(moments))

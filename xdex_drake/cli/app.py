@@ -74,6 +74,7 @@ COMMANDS: dict[str, Entry] = {
     "predict": Entry("predict", "Predict", "grasps from the model, made feasible and certified"),
     "evaluate": Entry("evaluate", "Evaluate", "judge a model: raw, refined, best of many, hand by hand; or the ladder"),
     "view": Entry("show", "View", "stored grasps in Meshcat, live or as one page"),
+    "studio": Entry("studio", "StudioCommand", "a live page to play with: grasp, next, carry, lift, sliders"),
     "export": Entry("export", "Export", "stored grasps in other tools' formats"),
     "bench": Entry("bench", "Bench", "how long search, polish, certificate and lift take here"),
 }

@@ -27,7 +27,10 @@ from xdex_drake.visualization.dress import meshes_by_color
 from xdex_drake.visualization.film import Film, Frame
 from xdex_drake.visualization.forces import FORCE_COLOR, HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS, arrow_placement
 from xdex_drake.visualization.pictures import Image, add_renderer, color_image, require_rendering
-from xdex_drake.visualization.stage import TABLE_COLOR
+
+FLOOR_COLOR = (0.52, 0.54, 0.57)
+STAND_OFF = 0.02
+"""Distance of an arrow's tip from the contact [m]."""
 
 Drawn = tuple[Shape, RigidTransform, Sequence[float]]
 
@@ -63,7 +66,7 @@ def render_films(
         scene_graph = SceneGraph()
         add_renderer(scene_graph)
         source = scene_graph.RegisterSource("films")
-        drawn: list[Drawn] = [(Box(8.0, 8.0, 0.1), RigidTransform([0.0, 0.0, -0.05]), TABLE_COLOR)]
+        drawn: list[Drawn] = [(Box(8.0, 8.0, 0.1), RigidTransform([0.0, 0.0, -0.05]), FLOOR_COLOR)]
         for film, offset, links in zip(films, offsets, meshes, strict=True):
             frame = film.frames[min(moment, len(film.frames) - 1)]
             X_WS = RigidTransform(offset)
@@ -82,9 +85,10 @@ def render_films(
 
 
 def _arrows(frame: Frame) -> Iterator[tuple[Mesh, RigidTransform]]:
-    """An arrow for each force, its head behind the finger's surface where the hand pushes."""
+    """An arrow for each force; it ends behind the finger that pushes, since nothing is seen through here."""
     for push in frame.pushes:
-        X_WA, scale = arrow_placement(push.p_WC, push.f_W)
+        back = STAND_OFF * push.f_W / np.linalg.norm(push.f_W)
+        X_WA, scale = arrow_placement(push.p_WC - back, push.f_W)
         head = trimesh.creation.cone(HEAD_RADIUS, HEAD_LENGTH, sections=16)
         # A cone of trimesh opens downward from its tip.
         head.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [1.0, 0.0, 0.0]))

@@ -185,7 +185,9 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
         check_belonging(grasp, hand, scene)
     offsets, direction = _side_by_side(grasps, hands, scenes)
     for k, (grasp, hand, scene, offset) in enumerate(zip(grasps, hands, scenes, offsets, strict=True)):
-        _draw_grasp(meshcat, f"/drake/grasp_{k}", grasp, hand, scene, offset, detail_for(len(grasps)))
+        path = f"/drake/grasp_{k}"
+        draw_certified(meshcat, path, grasp, hand, scene, detail_for(len(grasps)))
+        meshcat.SetTransform(path, RigidTransform(offset))
     everything = _all_blobs(grasps, hands, scenes, offsets, 0.0)
     center, half = _middle(everything)
     draw_table(meshcat, center, half)
@@ -224,9 +226,17 @@ def _middle(blobs: Blobs) -> tuple[Array, float]:
     return 0.5 * (low + high), float(0.5 * (high - low)[:2].max()) + 0.3
 
 
-def _draw_grasp(
-    meshcat: Meshcat, path: str, grasp: Grasp, hand: Hand, scene: Scene, offset: Array, detail: Detail = FINE
-) -> None:
+def draw_certified(meshcat: Meshcat, path: str, grasp: Grasp, hand: Hand, scene: Scene, detail: Detail = FINE) -> None:
+    """Draws a grasp with contacts, friction cones and forces of its certificate.
+
+    Args:
+        meshcat: Where to draw.
+        path: Path of hand, object and certificate.
+        grasp: The grasp.
+        hand: Its hand.
+        scene: Its scene.
+        detail: How finely the hand is drawn.
+    """
     names = [link.name for link in hand.links]
     draw_hand(meshcat, f"{path}/{hand.name}", hand, names, detail)
     R_WLs, p_WLs = forward_kinematics(hand, grasp.X_WH, grasp.q[None])
@@ -238,7 +248,6 @@ def _draw_grasp(
     meshcat.SetTransform(f"{path}/object", grasp.X_WO)
     if grasp.certificate is not None:
         _draw_certificate(meshcat, f"{path}/certificate", grasp)
-    meshcat.SetTransform(path, RigidTransform(offset))
 
 
 def _draw_certificate(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
