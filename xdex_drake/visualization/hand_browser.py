@@ -19,7 +19,7 @@ from xdex_drake.hand.checks import hand_size
 from xdex_drake.hand.description import Hand
 from xdex_drake.visualization.dress import detail_for
 from xdex_drake.visualization.page import FOV_Y, Trimmings, script_data, write_page
-from xdex_drake.visualization.stage import draw_hand, link_labels, start_meshcat, touch_switch
+from xdex_drake.visualization.stage import draw_hand, draw_touch, link_labels, start_meshcat, touch_switch
 
 MOST_HANDS = 100
 """A page of more hands than this grows too large for a browser."""
@@ -61,6 +61,7 @@ def browser_page(
         for path, hand, names in drawn:
             # Poses of links are left to the page, whose commands may come before Meshcat's own.
             draw_hand(meshcat, path, hand, names, detail_for(len(hands)))
+            draw_touch(meshcat, path, hand, names)
             if extend is not None:
                 extend(meshcat, path, hand)
         _aim(meshcat, max(hand_size(hand) for hand in hands))

@@ -19,6 +19,7 @@ from xdex_drake.visualization.stage import (
     REPETITIONS,
     aim,
     draw_hand,
+    draw_touch,
     link_labels,
     start_meshcat,
     touch_switch,
@@ -69,6 +70,7 @@ def motion_page(
     try:
         drawn = ("/drake/hand", hand, [str(k) for k in range(len(hand.links))])
         draw_hand(meshcat, *drawn)
+        draw_touch(meshcat, *drawn)
         animation = MeshcatAnimation(frames_per_second)
         # The end stands still for a moment.
         moments = [*range(len(qs)), len(qs) - 1 + PAUSE_FRAMES]

@@ -29,6 +29,7 @@ from xdex_drake.visualization.stage import (
     draw_hand,
     draw_object,
     draw_table,
+    draw_touch,
     link_labels,
     play_films,
     start_meshcat,
@@ -108,6 +109,8 @@ def films_page(films: Sequence[Film], *, title: str = "", rise_m: float = LIFT.r
             (f"{path}/{f.hand.name}", f.hand, [k.name for k in f.hand.links])
             for path, f in zip(paths, films, strict=True)
         ]
+        for each in hands:
+            draw_touch(meshcat, *each)
         made_title, verdict, rows = _lift_card(films[0]) if len(films) == 1 else _lifts_card(films)
         page = write_page(
             meshcat,
@@ -291,6 +294,8 @@ def grasp_page(grasps: Sequence[Grasp], hands: Sequence[Hand], scenes: Sequence[
         drawn = [
             (f"/drake/grasp_{k}/{hand.name}", hand, [link.name for link in hand.links]) for k, hand in enumerate(hands)
         ]
+        for each in drawn:
+            draw_touch(meshcat, *each)
         certified = [k for k, grasp in enumerate(grasps) if grasp.certificate is not None]
         page = write_page(
             meshcat,

@@ -68,7 +68,7 @@ def aim(meshcat: Meshcat, X_WC: RigidTransform, p_WT: Array) -> None:
 
 
 def draw_hand(meshcat: Meshcat, path: str, hand: Hand, names: Sequence[str], detail: Detail = FINE) -> None:
-    """Draws each link of a hand, in its own frame: how it looks below `PATH/NAME/look`, what touches below `.../touch`.
+    """Draws each link of a hand as it looks, in its own frame, below `PATH/NAME/look`.
 
     Args:
         meshcat: Where to draw.
@@ -77,9 +77,21 @@ def draw_hand(meshcat: Meshcat, path: str, hand: Hand, names: Sequence[str], det
         names: Name of each link in the path.
         detail: How finely.
     """
-    for link, name, surfaces in zip(hand.links, names, hand_surfaces(hand, detail), strict=True):
+    for name, surfaces in zip(names, hand_surfaces(hand, detail), strict=True):
         for n, (color, mesh) in enumerate(meshes_by_color(surfaces)):
             meshcat.SetObject(f"{path}/{name}/look/{n}", mesh, Rgba(*color))
+
+
+def draw_touch(meshcat: Meshcat, path: str, hand: Hand, names: Sequence[str]) -> None:
+    """Draws what touches of each link of a hand, below `PATH/NAME/touch`, to be shown by a switch (`touch_switch`).
+
+    Args:
+        meshcat: Where to draw.
+        path: Path of the hand.
+        hand: The hand.
+        names: Name of each link in the path.
+    """
+    for link, name in zip(hand.links, names, strict=True):
         for n, primitive in enumerate(link.geometry):
             shape, X_LG = drake_shape(primitive, f"{link.name}_{n}")
             meshcat.SetObject(f"{path}/{name}/touch/{n}", shape, Rgba(*TOUCH_COLOR))
@@ -89,7 +101,7 @@ def draw_hand(meshcat: Meshcat, path: str, hand: Hand, names: Sequence[str], det
 
 
 def touch_switch(hands: Sequence[tuple[str, Hand, Sequence[str]]]) -> dict[str, list[str]]:
-    """The switch that shows what touches: its label and the paths of `draw_hand` (path, hand, names of links)."""
+    """The switch that shows what touches: its label and the paths of `draw_touch` (path, hand, names of links)."""
     paths = [
         f"{path}/{name}/touch"
         for path, hand, names in hands

@@ -29,6 +29,7 @@ from xdex_drake.grasp import Grasp
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.library import list_hands, load_hand
+from xdex_drake.hand.looks import COARSE
 from xdex_drake.programs.grasp_types import GraspType
 from xdex_drake.scene.object import list_objects
 from xdex_drake.scene.tabletop import Scene
@@ -232,7 +233,15 @@ class Studio:
         self._grasp = replace(self._grasp, lift=lift)
         self._clear()
         recorded = Film(self._grasp, self._hand, self._scene, lift, frames)
-        play_films(self.meshcat, ["/drake/scene"], [recorded], np.zeros((1, 3)), frames_per_second=FRAMES_PER_SECOND)
+        # Coarsely: a browser takes each part of a live scene one by one.
+        play_films(
+            self.meshcat,
+            ["/drake/scene"],
+            [recorded],
+            np.zeros((1, 3)),
+            frames_per_second=FRAMES_PER_SECOND,
+            detail=COARSE,
+        )
         return "lifted" if lift.success else f"not lifted: {lift.failure_reason.replace('_', ' ')}"
 
     def _save(self, press: dict[str, Any]) -> str:
@@ -294,12 +303,12 @@ class Studio:
         self._clear()
         draw_table(self.meshcat, scene.X_WO.translation())
         if self._grasp is not None:
-            draw_certified(self.meshcat, "/drake/scene", self._grasp, hand, scene)
+            draw_certified(self.meshcat, "/drake/scene", self._grasp, hand, scene, COARSE)
             blobs = hand_blobs(hand, self._grasp.X_WH, self._grasp.q)
         else:
             X_WH = _above(scene)
             names = [link.name for link in hand.links]
-            draw_hand(self.meshcat, f"/drake/scene/{hand.name}", hand, names)
+            draw_hand(self.meshcat, f"/drake/scene/{hand.name}", hand, names, COARSE)
             R_WLs, p_WLs = forward_kinematics(hand, X_WH, hand.q_rest[None])
             for name, R, p in zip(names, R_WLs[0], p_WLs[0], strict=True):
                 X_WL = RigidTransform(RotationMatrix.ProjectToRotationMatrix(R), p)
