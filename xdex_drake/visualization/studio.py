@@ -233,7 +233,6 @@ class Studio:
         self._grasp = replace(self._grasp, lift=lift)
         self._clear()
         recorded = Film(self._grasp, self._hand, self._scene, lift, frames)
-        # Coarsely: a browser takes each part of a live scene one by one.
         play_films(
             self.meshcat,
             ["/drake/scene"],
@@ -242,6 +241,7 @@ class Studio:
             frames_per_second=FRAMES_PER_SECOND,
             detail=COARSE,
         )
+        self._reveal()
         return "lifted" if lift.success else f"not lifted: {lift.failure_reason.replace('_', ' ')}"
 
     def _save(self, press: dict[str, Any]) -> str:
@@ -295,6 +295,11 @@ class Studio:
     def _clear(self) -> None:
         self.meshcat.SetAnimation(MeshcatAnimation(FRAMES_PER_SECOND))
         self.meshcat.Delete("/drake/scene")
+        # Seen once it is whole: a browser takes its parts one by one.
+        self.meshcat.SetProperty("/drake/scene", "visible", False)
+
+    def _reveal(self) -> None:
+        self.meshcat.SetProperty("/drake/scene", "visible", True)
 
     def _draw(self) -> None:
         """The grasp with its forces; without one, the hand at rest above the object."""
@@ -322,6 +327,7 @@ class Studio:
         )
         X_WC = frame_blobs(seen, VIEW, fov_y=FOV_Y, aspect=ASPECT, margin=1.35)
         aim(self.meshcat, X_WC, seen.centers_W.mean(axis=0))
+        self._reveal()
 
 
 def _above(scene: Scene) -> RigidTransform:
