@@ -20,9 +20,11 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 
 import xdex_drake as xd
+from xdex_drake.evaluation.judge import certified_as_given
+from xdex_drake.grasping.finish import penetrations
 from xdex_drake.visualization.hand_sets import hand_picture
 
 # %% [markdown]
@@ -116,6 +118,46 @@ crossed = xd.HandRetargeter(hand, scale=1.4, side="left").frame(left[60])
 print("same joint values:", bool(np.allclose(own.q, crossed.q, atol=1e-6)))
 
 # %% [markdown]
+# ## An object in the way
+#
+# Kinematics knows no object: where the person held something, a larger hand closes through it. Beside an object each
+# frame goes as far as it can: links stay outside, joints move by no more than 0.19 rad a frame, and fingers that press
+# go on touching. The ball is where this hand's fingers would meet; it goes along while thumb and a finger hold it.
+# `xdex follow allegro points.npy --object ball --at X Y Z` does it for a file.
+
+# %%
+ball = xd.load_object("ball", scale=0.7)
+shadow = xd.load_hand("shadow")
+fifth = xd.HandRetargeter(shadow, "vector").calibrated(clip.points[:10])
+closed = fifth.scaled_points(clip.points)[62]
+X_WO = RigidTransform(0.5 * (closed[4] + closed[[8, 12]].mean(axis=0)))
+beside = list(xd.follow_beside(fifth, clip.points, ball, X_WO))
+
+
+def depth(X_WH: RigidTransform, q: np.ndarray, X_WO: RigidTransform) -> float:
+    """How deep the hand is in the ball [mm]."""
+    k = xd.Configuration.at(shadow, X_WH, q)
+    return 1e3 * max(penetrations(shadow, k, xd.Scene(ball, X_WO, "ball")))
+
+
+plain = [depth(RigidTransform(RotationMatrix(f.wanted.R_WH), f.wanted.p_WH), f.wanted.q, f.X_WO) for f in beside[::3]]
+ours = [depth(f.X_WH, f.q, f.X_WO) for f in beside[::3]]
+print(f"deepest: {max(plain):.1f} mm without the ball in mind, {max(ours):.2f} mm with it")
+steps = np.abs(np.diff([frame.q for frame in beside], axis=0)).max()
+print(f"greatest step {steps:.2f} rad; touching at the end: {', '.join(beside[-1].touching)}")
+
+# %% [markdown]
+# A frame is a grasp like any other, and can be asked whether it holds.
+
+# %%
+last = beside[-1]
+grasp = xd.Grasp("shadow", "ball", last.X_WO, last.X_WH, last.q)
+grasp, found = certified_as_given(shadow, xd.Scene(ball, last.X_WO, "ball"), grasp)
+print(
+    "certified:", grasp.certificate is not None, "|", found.reason or f"task margin {found.certificate.task_margin:.1f}"
+)
+
+# %% [markdown]
 # ## Look at it
 #
 # The page plays the motion with the scaled key points. `xdex follow allegro points.npy --html follow.html` does all of
@@ -131,6 +173,5 @@ if xd.can_see():
 print("follow.html:", Path("follow.html").stat().st_size // 1000, "kB")
 
 # %% [markdown]
-# **Exercise.** Kinematics knows no object: where the person held something, the hand may close through it. Put the
-# joint values of the last frame and its wrist pose into `xd.finish_grasp` as the start of a grasp on a can that stands
-# where the person's fingers met. How far do the fingertips move until the grasp holds?
+# **Exercise.** Put a can where the ball was. How small must it be until a hand of four fingers holds it by this motion,
+# and how do you move the can so that it does?

@@ -64,6 +64,9 @@ from .retargeting.clip import reach_grasp_lift as reach_grasp_lift
 from .retargeting.hand_retargeter import Following as Following
 from .retargeting.hand_retargeter import HandRetargeter as HandRetargeter
 from .retargeting.keypoints import read_points as read_points
+from .retargeting.object_stream import Guarded as Guarded
+from .retargeting.object_stream import ObjectStream as ObjectStream
+from .retargeting.object_stream import follow_beside as follow_beside
 from .scene.camera import camera_poses as camera_poses
 from .scene.camera import can_see as can_see
 from .scene.camera import depth_cloud as depth_cloud
