@@ -235,6 +235,8 @@ class HandExport:
     Joint names, limits, efforts, couplings and inertias are the hand's own. The empty link (in SDFormat: frame, in
     MJCF: site) `wrist` marks the wrist frame, to which grasps refer; `thumb_tip`, `index_tip` and so on mark the
     fingertips.
+    `dex_retargeting` writes a URDF whose root is the wrist frame, and a configuration for each objective of
+    dex-retargeting 0.5; call its `RetargetingConfig.set_default_urdf_dir(FOLDER)` before loading one.
     Try `xdex hand export allegro --format mjcf --out allegro_mjcf`.
 
     Attributes:
@@ -244,7 +246,7 @@ class HandExport:
     """
 
     hand: tyro.conf.Positional[HandName]
-    format: Literal["urdf", "sdf", "mjcf"] = "urdf"
+    format: Literal["urdf", "sdf", "mjcf", "dex_retargeting"] = "urdf"
     out: Path | None = None
 
     def run(self) -> int:
@@ -253,10 +255,16 @@ class HandExport:
         from xdex_drake.interchange.mjcf import export_mjcf
         from xdex_drake.interchange.sdf import export_sdf
         from xdex_drake.interchange.urdf import export_urdf
+        from xdex_drake.retargeting.dex_retargeting import export_dex_retargeting
 
         hand = load_hand(self.hand)
+        out = self.out or Path(f"{hand.name}_{self.format}")
+        if self.format == "dex_retargeting":
+            files = export_dex_retargeting(hand, out)
+            print(f"{hand.name}: {', '.join(str(file) for file in files)}")
+            return 0
         export = {"urdf": export_urdf, "sdf": export_sdf, "mjcf": export_mjcf}[self.format]
-        print(f"{hand.name}: {export(hand, self.out or Path(f'{hand.name}_{self.format}'))}")
+        print(f"{hand.name}: {export(hand, out)}")
         return 0
 
 

@@ -16,7 +16,7 @@ VELOCITY = 10.0
 """Velocity limit that is written for every joint [rad/s or m/s]: the format demands one, and a hand states none."""
 
 
-def export_urdf(hand: Hand, folder: str | Path) -> Path:
+def export_urdf(hand: Hand, folder: str | Path, *, wrist_root: bool = False) -> Path:
     """Writes NAME.urdf and meshes/*.obj into a folder.
 
     Link and joint names, frames, limits, efforts, mimic laws and inertias are the hand's; the base link's frame is B.
@@ -27,6 +27,7 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
     Args:
         hand: The hand.
         folder: The folder; made where it does not exist.
+        wrist_root: Whether the link of the wrist frame is the root, for tools that compare poses in the root's frame.
 
     Returns:
         Path of the URDF file.
@@ -41,18 +42,20 @@ def export_urdf(hand: Hand, folder: str | Path) -> Path:
         SubElement(robot, "mujoco"), "compiler", {"meshdir": "meshes", "strippath": "true", "discardvisual": "false"}
     )
     meshes: dict[str, str] = {}
+    marks = marked_frames(hand)
+    if wrist_root:
+        (wrist, base, *_), *marks = marks
+        SubElement(robot, "link", {"name": wrist})
+        _add_fixed(robot, f"{wrist}_fixed", wrist, base, hand.p_HB, hand.R_HB)
     for link in hand.links:
         _add_link(robot, link, meshes)
     for joint in hand.joints:
         _add_joint(robot, joint)
     for name in hand.joint_names:
         _add_transmission(robot, name)
-    for name, link, p, R in marked_frames(hand):
+    for name, link, p, R in marks:
         SubElement(robot, "link", {"name": name})
-        fixed = SubElement(robot, "joint", {"name": f"{name}_fixed", "type": "fixed"})
-        _add_origin(fixed, p, R)
-        SubElement(fixed, "parent", {"link": link})
-        SubElement(fixed, "child", {"link": name})
+        _add_fixed(robot, f"{name}_fixed", link, name, p, R)
     _add_filters(robot, hand)
     indent(robot)
     file = folder / f"{hand.name}.urdf"
@@ -149,6 +152,13 @@ def _add_joint(robot: Element, joint: Joint) -> None:
     if joint.coupling is not None:
         law = {"multiplier": number(joint.coupling.multiplier), "offset": number(joint.coupling.offset)}
         SubElement(element, "mimic", {"joint": joint.coupling.master, **law})
+
+
+def _add_fixed(robot: Element, name: str, parent: str, child: str, p: Array, R: Array) -> None:
+    fixed = SubElement(robot, "joint", {"name": name, "type": "fixed"})
+    _add_origin(fixed, p, R)
+    SubElement(fixed, "parent", {"link": parent})
+    SubElement(fixed, "child", {"link": child})
 
 
 def _add_transmission(robot: Element, joint: str) -> None:
