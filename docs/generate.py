@@ -139,7 +139,13 @@ def executed(path: Path) -> Any:
     notebook.metadata = nbformat.from_dict({"digest": digest, "kernelspec": {"name": "python3", "display_name": ""}})
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
-    client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(files)}})
+    client = NotebookClient(
+        notebook,
+        timeout=600,
+        startup_timeout=300,
+        extra_arguments=["--IPKernelApp.log_level=ERROR"],
+        resources={"metadata": {"path": str(files)}},
+    )
     with client.setup_kernel(env=environment):
         for k, cell in enumerate(notebook.cells):
             before = set(files.iterdir())

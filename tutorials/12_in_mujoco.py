@@ -19,6 +19,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 import xdex_drake as xd
 from xdex_drake.simulation import mujoco as judge_in_mujoco
@@ -40,6 +41,8 @@ grasp = next(grasp for grasp in grasps if grasp.lift is not None and grasp.lift.
 model = mujoco.MjModel.from_xml_path(str(file))
 print(file.name, "|", model.nbody, "bodies,", model.nu, "actuators,", model.opt.timestep, "s a step")
 print("key frames:", [model.key(k).name for k in range(model.nkey)])
+if xd.can_see():
+    Image.fromarray(xd.render_grasp(grasp, hand, scene, size=(640, 480))).save("scene.png")
 
 # %% [markdown]
 # ## Play it, by MuJoCo alone

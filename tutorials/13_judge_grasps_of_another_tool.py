@@ -21,14 +21,19 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import yaml
+from PIL import Image
 
 import xdex_drake as xd
 from xdex_drake.cli import main
+from xdex_drake.visualization.pictures import contact_sheet
 
 hand = xd.load_hand("allegro")
 scene = xd.make_scene(xd.load_object("can"), seed=0)
 grasps = [grasp for grasp in xd.synthesize(hand, scene, count=3, seed=0, time_limit_s=60.0) if grasp.lift is not None]
 xd.save_grasps("ours.parquet", grasps, hand, scene)
+if xd.can_see():
+    pictures = [xd.render_grasp(grasp, hand, scene) for grasp in grasps]
+    Image.fromarray(contact_sheet(pictures, [f"grasp {k}" for k in range(len(grasps))])).save("grasps.png")
 
 # %% [markdown]
 # ## A file of Isaac's format

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,11 @@ def test_more_prose_than_helpers(path):
     text = path.read_text()
     assert text.count("# %% [markdown]") >= text.count("# %%\n") // 2
     assert "**Exercise.**" in text and "sys.path" not in text
+
+
+@pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
+def test_it_writes_a_picture_for_the_site(path):
+    assert re.search(r"\w\.(png|svg|jpg)\"", path.read_text()), "see the last cells of tutorial 01"
 
 
 @pytest.mark.slow
