@@ -88,6 +88,7 @@ def write_tutorials() -> None:
     for path, notebook in zip(paths, notebooks, strict=True):
         for cell in notebook.cells:
             if cell.cell_type == "code":
+                cell.outputs = [output for output in cell.outputs if not said_only(output)]
                 cell.outputs += shown(path.stem, cell.metadata.get("wrote", []))
         if not any(file.suffix in PICTURES for file in (EXECUTED / path.stem / "files").iterdir()):
             raise RuntimeError(f"{path.name} wrote no picture; let it write one, on a machine that can render")
@@ -162,6 +163,11 @@ def tidy(outputs: list[Any]) -> list[Any]:
     printed = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
     others = [output for output in outputs if output.output_type != "stream"]
     return [*([nbformat.v4.new_output("stream", name="stdout", text=printed)] if printed else []), *others]
+
+
+def said_only(output: Any) -> bool:
+    """Whether an output is the plain value of a cell's last line, such as the number of letters that were written."""
+    return output.output_type == "execute_result" and set(output.data) == {"text/plain"}
 
 
 def shown(tutorial: str, names: list[str]) -> list[Any]:
