@@ -29,6 +29,7 @@ from xdex_drake.dataset.folder import (
     write_shard,
 )
 from xdex_drake.dataset.grasp_file import read_grasps, read_metadata, read_table, write_grasps
+from xdex_drake.dataset.ranking import best_grasps
 from xdex_drake.dataset.schema import SCHEMA, grasp_from_row
 from xdex_drake.dataset.summary import Count, info
 from xdex_drake.dataset.verify import verify
@@ -431,3 +432,15 @@ def test_the_summary_counts(dataset, make_row):
     assert summary.failure_reasons == {"slipped": 1}
     assert summary.seconds == pytest.approx(3 * (2.0 + 1.5))
     assert summary.bytes == sum(path.stat().st_size for path in (dataset / "shards").iterdir())
+
+
+def test_the_best_grasp_of_each_hand_and_scene_is_listed(dataset, make_row):
+    # Of three certified rows of one hand and scene the one most likely to hold, whatever became of it.
+    write_shard(dataset, "mug-2", [make_row(5) | {"foretold_motion": -3.0}, make_row(6) | {"scene_id": "mug/1"}])
+    best = best_grasps(dataset, count=5)
+    assert [(ranked.scene, ranked.unit) for ranked in sorted(best, key=lambda ranked: ranked.scene)] == [
+        ("mug/0", "mug-2"),
+        ("mug/1", "mug-2"),
+    ]
+    assert best[0].hold >= best[1].hold and best_grasps(dataset, count=1)[0].grasp.grasp_id == best[0].grasp.grasp_id
+    assert best[0].outcome() == ("yes", "yes") and best_grasps(dataset, count=5, hand="nobody") == []

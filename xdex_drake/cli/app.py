@@ -66,6 +66,7 @@ COMMANDS: dict[str, Entry] = {
     "dataset info": Entry("datasets", "DatasetInfoCommand", "count what a data set holds"),
     "dataset verify": Entry("datasets", "DatasetVerify", "check every row and every certificate of a data set"),
     "dataset card": Entry("datasets", "DatasetCard", "the card of a data set: counts, rates, reasons, distributions"),
+    "dataset view": Entry("datasets", "DatasetView", "the grasps of a data set that are most likely to hold"),
     "dataset metrics": Entry("datasets", "DatasetMetrics", "consistency across hands, and distinct grasps"),
     "dataset compact": Entry("datasets", "DatasetCompact", "keep a data set in some 60 bytes a grasp"),
     "dataset expand": Entry("datasets", "DatasetExpand", "a data set from its compact table"),

@@ -44,6 +44,8 @@ class DatasetGenerate:
         workers: Number of processes.
         shard: Make only a part of the units, 2/8 for the second of eight; parts may run at once.
         table: A compact table: units that it holds are not made again, and those that are made are appended to it.
+        ray: Let a Ray cluster work instead of processes here: its address HOST:6379, auto, or local for one that is
+            started here; needs `pip install 'xdex_drake[ray]'` on every machine.
         print_config: Print the resolved configuration and do nothing.
     """
 
@@ -52,6 +54,7 @@ class DatasetGenerate:
     workers: int = 2
     shard: str | None = None
     table: Path | None = None
+    ray: str | None = None
     print_config: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> int:
@@ -70,6 +73,10 @@ class DatasetGenerate:
             raise ConfigError("no configuration file is given; begin with `xdex dataset generate --print-config`")
         if self.workers < 0:
             raise ConfigError(f"--workers is {self.workers}; give 0 or more")
+        if self.ray is not None:
+            from xdex_drake.jobs.ray import ray_module
+
+            ray_module()
         shard = None if self.shard is None else _part(self.shard)
         units = part_of(plan(config), shard)
         check_writable(self.out / "manifest.json")
@@ -81,7 +88,7 @@ class DatasetGenerate:
                 bar.set_postfix_str(done.unit.name, refresh=False)
                 bar.update()
 
-            generate(config, self.out, workers=self.workers, shard=shard, table=self.table, on_done=tell)
+            generate(config, self.out, workers=self.workers, shard=shard, table=self.table, ray=self.ray, on_done=tell)
         if not (self.out / "manifest.json").exists():
             return interruption.status(1)
         rows = _print_info(self.out)
@@ -196,6 +203,55 @@ class DatasetCard:
             caption = f"{first.scene.object.name}: a grasp by {first.hand.name} and its versions by other hands"
             told.append((f"{folder.name}/{k}.jpg", caption))
         return told
+
+
+@dataclass(frozen=True)
+class DatasetView:
+    """The grasps of a data set that are most likely to hold: a table, and on demand a page.
+
+    P(lift) and P(hold) are foretold from what is stored with a grasp, by the scores that ship with the library. Of each
+    hand and scene the best grasp is listed. Try `xdex dataset view pairs --html best.html`.
+
+    Attributes:
+        folder: Folder of the data set.
+        count: Greatest number of grasps.
+        hand: Grasps of this hand alone.
+        html: Also write a page that shows them side by side.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    count: int = 12
+    hand: str | None = None
+    html: Path | None = None
+
+    def run(self) -> int:
+        """Ranks, prints, writes the page."""
+        one_thread()
+        from xdex_drake.cli.show import score_cells
+        from xdex_drake.dataset.ranking import best_grasps
+        from xdex_drake.errors import ConfigError
+
+        if self.count < 1:
+            raise ConfigError(f"--count is {self.count}; give 1 or more")
+        if self.html is not None:
+            check_output_file(self.html, ".html")
+        best = best_grasps(self.folder, count=self.count, hand=self.hand)
+        cells = score_cells([ranked.grasp for ranked in best])
+        rows = [
+            (ranked.grasp.grasp_id, *probabilities, *ranked.outcome())
+            for ranked, probabilities in zip(best, cells, strict=True)
+        ]
+        print(table(rows, ("grasp", "P(lift)", "P(hold)", "lifted", "held")))
+        if best and self.html is not None:
+            from xdex_drake.dataset.ranking import stored_grasps
+            from xdex_drake.visualization.replay import grasp_page
+            from xdex_drake.whole_file import write_text
+
+            stored = stored_grasps(self.folder, best)
+            shown = [item.grasp for item in stored], [item.hand for item in stored], [item.scene for item in stored]
+            write_text(self.html, grasp_page(*shown))
+            print(f"written to {self.html}")
+        return 0 if best else 1
 
 
 @dataclass(frozen=True)

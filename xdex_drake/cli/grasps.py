@@ -159,6 +159,7 @@ class GraspCommand:
                     ("rejected by", counted(tally.rejected)),
                     ("failed by", counted(tally.failed)),
                     *([("lost batches", len(tally.lost))] if tally.lost else []),
+                    *([("most likely to hold", _most_likely(kept))] if kept else []),
                     ("written", f"{len(kept)} to {self.out}" if kept else "nothing"),
                 ]
             )
@@ -171,6 +172,17 @@ class GraspCommand:
             write_replays(self.html, kept[:3], hand, scene)
             print(f"replays: {self.html}")
         return interruption.status(0 if lifted else 1)
+
+
+def _most_likely(grasps: Sequence[Grasp]) -> str:
+    """The row of the grasp that is most likely to hold, with its probability."""
+    import numpy as np
+
+    from xdex_drake.grasping.scores import hold_probability
+
+    hold = hold_probability(grasps)
+    best = int(np.argmax(hold))
+    return f"row {best}, P(hold) {hold[best]:.2f}; median {np.median(hold):.2f}"
 
 
 def _why(rejected: Mapping[str, int]) -> str:

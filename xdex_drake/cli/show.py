@@ -56,10 +56,10 @@ class View:
         chosen = stored[:MOST_SHOWN] if self.all else stored[self.row : self.row + 1]
         grasps, hands, scenes = zip(*((item.grasp, item.hand, item.scene) for item in chosen), strict=True)
         rows = [
-            (grasp.grasp_id, hand.name, scene.object.name, _verdict(grasp))
-            for grasp, hand, scene in zip(grasps, hands, scenes, strict=True)
+            (grasp.grasp_id, hand.name, scene.object.name, *probabilities, _verdict(grasp))
+            for grasp, hand, scene, probabilities in zip(grasps, hands, scenes, score_cells(grasps), strict=True)
         ]
-        print(table(rows, ("grasp", "hand", "object", "lift")), flush=True)
+        print(table(rows, ("grasp", "hand", "object", "P(lift)", "P(hold)", "lift")), flush=True)
         from xdex_drake.visualization.replay import grasp_page, replay_lift, view_live
 
         if self.html is None:
@@ -69,6 +69,14 @@ class View:
         write_text(self.html, page)
         print(f"written to {self.html}")
         return 0
+
+
+def score_cells(grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
+    """P(lift) and P(hold) of each grasp, as foretold by what is stored with it, for a table."""
+    from xdex_drake.grasping.scores import hold_probability, lift_probability
+
+    both = zip(lift_probability(grasps), hold_probability(grasps), strict=True)
+    return [("-", "-") if lift != lift else (f"{lift:.3f}", f"{hold:.2f}") for lift, hold in both]
 
 
 def _verdict(grasp: Grasp) -> str:

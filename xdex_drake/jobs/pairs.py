@@ -51,6 +51,7 @@ from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.jobs.compaction import compact_dataset, compact_shard, table_units
 from xdex_drake.jobs.population import expand_names
 from xdex_drake.jobs.processes import UnitResult, run_units
+from xdex_drake.jobs.ray import run_units_on_ray
 from xdex_drake.jobs.workbench import hand_of, use_one_thread
 from xdex_drake.scene.generator import FAMILIES, RECIPE, family_name, is_shape_name
 from xdex_drake.scene.object import load_object
@@ -409,6 +410,7 @@ def generate(
     shard: tuple[int, int] | None = None,
     table: str | Path | None = None,
     timeout_s: float = 3600.0,
+    ray: str | None = None,
     on_done: Callable[[UnitResult[PairUnit, UnitRows]], None] | None = None,
 ) -> tuple[int, int]:
     """Generates a data set, or goes on with one that was interrupted.
@@ -420,7 +422,8 @@ def generate(
         shard: Which part of the units to make, (i, n) for every n-th from the i-th on, i from 1; all where None. Parts
             may run at once, on one folder or on several whose shards are then put together.
         table: Folder of a compact table: units that it holds are not made again, and those that are made are appended.
-        timeout_s: Longest wall time of a unit [s].
+        timeout_s: Longest wall time of a unit [s]; not on a Ray cluster.
+        ray: Address of a Ray cluster that works instead of processes here; see `run_units_on_ray`.
         on_done: Called with each unit's result after its shard is written, for progress.
 
     Returns:
@@ -461,7 +464,11 @@ def generate(
         done = completed_units(folder) | (set() if table is None else table_units(table))
         missing = [unit for unit in units if unit.name not in done]
         work = partial(run_unit, config=config)
-        for _ in run_units(missing, work, workers=workers, on_done=save, timeout_s=timeout_s):
+        if ray is None:
+            results = run_units(missing, work, workers=workers, on_done=save, timeout_s=timeout_s)
+        else:
+            results = run_units_on_ray(missing, work, address=ray, on_done=save)
+        for _ in results:
             pass
     return counts[0], counts[1]
 

@@ -146,13 +146,21 @@ def _run_here(
     """Runs the units one after the other in this process."""
     for unit in units:
         begin = time.monotonic()
-        result = UnitResult(unit, *_attempt(work, unit), time.monotonic() - begin)
+        result = UnitResult(unit, *attempt(work, unit), time.monotonic() - begin)
         save(result)
         yield result
 
 
-def _attempt(work: Callable[[Unit], Value], unit: Unit) -> tuple[Value | None, Failure | None]:
-    """Value or failure of a unit."""
+def attempt(work: Callable[[Unit], Value], unit: Unit) -> tuple[Value | None, Failure | None]:
+    """Value or failure of a unit, in this process.
+
+    Args:
+        work: The work.
+        unit: The unit.
+
+    Returns:
+        What the work returned and None, or None and why it raised.
+    """
     try:
         return work(unit), None
     except Exception as error:
@@ -382,7 +390,7 @@ def _serve(
     with suppress(EOFError, OSError):
         connection.send_bytes(b"ready")
         for _ in range(units_per_process):
-            answer = _attempt(work, connection.recv())
+            answer = attempt(work, connection.recv())
             gc.collect()
             try:
                 message = pickle.dumps(answer)
