@@ -6,6 +6,7 @@ import torch
 
 from xdex_drake.programs import contact_forces
 from xdex_drake.programs.terms.approach import approach
+from xdex_drake.programs.terms.center import off_center
 from xdex_drake.programs.terms.contact import contact_distance
 from xdex_drake.programs.terms.force_closure import wrench_energy
 from xdex_drake.programs.terms.joint_limits import joint_limits
@@ -111,6 +112,16 @@ def test_the_papers_estimator_is_its_square_norm():
     value, _, _ = wrench_energy(p, n, n, np.zeros(3), 1.0)
     w = np.concatenate([np.cross(p, n).sum(0), n.sum(0)])
     assert value == pytest.approx(0.5 * w @ w)
+
+
+@pytest.mark.parametrize("seed", CASES)
+def test_off_center(seed):
+    rng = np.random.default_rng(seed)
+    p, com, w = rng.normal(size=(5, 3)), rng.normal(size=3), np.array([1.0, 0.0, 1.0, 1.0, 0.0])
+    value, gradient = off_center(p, com, 0.3, w)
+    assert value == pytest.approx(0.5 * np.sum((p[w > 0.0].mean(axis=0) - com) ** 2) / 0.3**2)
+    close(gradient, numeric(lambda x: off_center(x, com, 0.3, w)[0], p))
+    assert off_center(p, com, 0.3, np.zeros(5))[0] == 0.0
 
 
 @pytest.mark.parametrize("seed", CASES)

@@ -107,10 +107,11 @@ class GraspCommand:
         from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
         from xdex_drake.programs.obstacles import find_obstacles, sizes
         from xdex_drake.programs.search import SearchSettings
+        from xdex_drake.programs.terms import FIRM
         from xdex_drake.scene.facts import SceneFacts
         from xdex_drake.scene.tabletop import make_scene, pose_of
 
-        search = SearchSettings(contacts=self.contacts, grasp_type=self.grasp_type, approach=self.approach)
+        search = SearchSettings(terms=FIRM, contacts=self.contacts, grasp_type=self.grasp_type, approach=self.approach)
         model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
         chosen = self.pose is not None or self.upright
         pose = pose_of(model, number=self.pose, upright=self.upright) if chosen else None

@@ -16,6 +16,7 @@ from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.search import SearchSettings
+from xdex_drake.programs.terms import FIRM
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.drake import LiftRig, lift_rig, simulate_lift
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
@@ -44,7 +45,7 @@ class SynthesisSettings:
         demands: What grasps must meet that a search finds.
     """
 
-    search: SearchSettings = field(default_factory=SearchSettings)
+    search: SearchSettings = field(default_factory=lambda: SearchSettings(terms=FIRM))
     polish: PolishSettings = field(default_factory=lambda: PolishSettings(friction_fraction=0.5))
     batch: int = 80
     solver: str = "sequential"

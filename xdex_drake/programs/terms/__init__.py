@@ -5,6 +5,7 @@ An energy is a function of arrays with its gradient, for NumPy and torch alike; 
 """
 
 from xdex_drake.programs.term import Pull, Term, View
+from xdex_drake.programs.terms.center import Centered
 from xdex_drake.programs.terms.contact import ContactDistance
 from xdex_drake.programs.terms.force_closure import ForceClosure
 from xdex_drake.programs.terms.joint_limits import JointLimits
@@ -12,7 +13,7 @@ from xdex_drake.programs.terms.pads import PadAlignment
 from xdex_drake.programs.terms.penetration import Penetration
 from xdex_drake.programs.terms.self_collision import SelfCollision
 
-__all__ = ["EQ_1", "Pull", "Term", "View"]
+__all__ = ["EQ_1", "FIRM", "Pull", "Term", "View"]
 
 EQ_1: tuple[Term, ...] = (
     ForceClosure(),
@@ -23,3 +24,6 @@ EQ_1: tuple[Term, ...] = (
     PadAlignment(),
 )
 """Eq. (1), and the pads of the fingers."""
+
+FIRM: tuple[Term, ...] = (*EQ_1, Centered())
+"""Eq. (1) for grasps that shall hold while they are pushed, as synthesis searches them."""
