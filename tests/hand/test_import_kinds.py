@@ -277,6 +277,15 @@ def test_two_hands_in_one_file_are_told_apart(kind: str) -> None:
     assert interpret(robot, name="hand", palm="left_palm").hand.side == "left"
 
 
+def test_hands_may_be_fixed_far_from_the_base() -> None:
+    hand = box_hand()
+    stand = joint("fixed", "world", "base", (0.3, 0.0, 1.0))
+    imported = interpret(replace(hand, links=(FileLink("world"), *hand.links), joints=(stand, *hand.joints)), name="h")
+    assert max(off(imported)) < 5.0
+    assert len(imported.hand.fingers) == 5
+    assert interpret(mounted(at=0.8), name="hand", side="left").hand.fingers[0].tip_link == "left_thumb_dist"
+
+
 def test_two_hands_without_names_are_told_apart_by_their_thumbs() -> None:
     imported = interpret(mounted(names=("a_", "b_")), name="hand", side="left")
     assert imported.hand.fingers[0].tip_link == "a_thumb_dist"
@@ -304,6 +313,12 @@ def test_a_robot_without_a_hand_is_refused(count: int, length: float, mass: floa
     with pytest.raises(HandFileError, match=r"there is no hand in it.*arm_") as error:
         interpret(torso(count, length, mass), name="hand")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("count", "length"), [(2, 0.1), (3, 0.07), (5, 0.05)])
+def test_nor_is_a_toy_a_hand_whose_limbs_are_as_small_as_fingers(count: int, length: float) -> None:
+    with pytest.raises(HandFileError, match=r"there is no hand in it.*arm_"):
+        interpret(torso(count, length, 0.05), name="hand")
 
 
 def test_a_gripper_on_a_robot_with_wheels_and_a_head_is_found() -> None:
@@ -518,6 +533,12 @@ def test_angles_of_a_fragment_are_radians(tmp_path: Path) -> None:
     assert {joint.upper for joint in imported.hand.joints} == {1.4}
     (decided,) = [text for text in told(imported, "decided") if "radians" in text]
     assert "by more than 1.4 degrees" in decided
+    # Also where a joint may turn twice, and where the file is a part that others include.
+    twice = mjcf(mjcf_fingers().replace('range="0 1.4"', 'range="-6.28 6.28"', 1), head="").replace(
+        "mujoco>", "mujocoinclude>"
+    )
+    for text in (twice, twice.replace("<worldbody>", "").replace("</worldbody>", "")):
+        assert import_hand(put(tmp_path / "part.xml", text)).hand.joints[1].upper == 1.4
     # Degrees where the file says so, or where they make sense.
     for head, fingers in (
         ('<compiler angle="degree"/>', mjcf_fingers()),

@@ -29,7 +29,12 @@ from xdex_drake.hand.yaml_file import hand_text, read_hand, surfaces_file
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
 RECIPE = 5  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
 WHAT = "a URDF, MJCF or SDFormat file of one hand"
-READERS: dict[str, Callable[[Path, Allowed], FileModel]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
+READERS: dict[str, Callable[[Path, Allowed], FileModel]] = {
+    "robot": read_urdf,
+    "mujoco": read_mjcf,
+    "mujocoinclude": read_mjcf,
+    "sdf": read_sdf,
+}
 """The reader for each root element."""
 
 GENERAL_NAMES = ("robot", "model", "hand", "scene", "urdf", "mjcf", "main", "gripper")

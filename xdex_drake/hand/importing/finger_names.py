@@ -12,6 +12,31 @@ _WORDS = {
     "little": ("little", "pinky", "pinkie", "baby", "kleinerfinger"),
 }
 
+FINGER_WORDS = frozenset(
+    (*(word for words in _WORDS.values() for word in words), "finger", "fingers", "fingertip", "jaw", "claw", "gripper")
+)
+"""Words in the names of what is a finger."""
+
+LIMB_WORDS = frozenset(
+    (
+        "arm",
+        "shoulder",
+        "elbow",
+        "forearm",
+        "leg",
+        "hip",
+        "thigh",
+        "knee",
+        "calf",
+        "shin",
+        "ankle",
+        "foot",
+        "head",
+        "neck",
+    )
+)
+"""Words in the names of limbs that are none."""
+
 _CODES = {"thumb": "th", "index": "ff", "middle": "mf", "ring": "rf", "little": "lf"}
 """The two letters that the names of Shadow's links and joints begin with, and of many hands after it."""
 
@@ -65,6 +90,18 @@ def side_from_names(names: list[str]) -> str | None:
 def _words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     return [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]
+
+
+def name_words(name: str) -> frozenset[str]:
+    """The words that a name is made of, in lower case: `LeftArm_2` has left and arm.
+
+    Args:
+        name: Name of a link or joint.
+
+    Returns:
+        The words.
+    """
+    return frozenset(_words(name))
 
 
 def _speaks_of(name: str, finger: str) -> bool:

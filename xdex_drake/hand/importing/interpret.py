@@ -30,8 +30,8 @@ SLIP = 100.0
 LONGEST = 1.0
 """No hand reaches farther from its palm [m]."""
 
-MOST_TURN_OF_DEGREES = np.pi / 20.0
-"""Greatest range of a hand whose joint limits were meant in radians and taken as degrees, or nearly so [rad]."""
+MOST_TURN_OF_DEGREES = 1.01 * np.deg2rad(4.0 * np.pi)
+"""Greatest range of a hand whose joint limits were meant in radians, two turns at most, and taken as degrees."""
 
 SHORTEST = 0.02
 """No hand reaches less far [m]."""

@@ -197,7 +197,7 @@ def joined_at(R: Array, p: Array, a: int, b: int) -> Array | None:
     return solution[:3] if float(np.abs(rows @ solution - gap).max()) < FOLLOW else None
 
 
-def limb_size(tree: Tree, leaf: int, base: int, p_BLs: Array) -> tuple[int, float, float, float]:
+def limb_size(tree: Tree, leaf: int, base: int, p_BLs: Array, p_BFrom: Array) -> tuple[int, float, float, float]:
     """How large the chain from one body to a tip is.
 
     Args:
@@ -205,9 +205,10 @@ def limb_size(tree: Tree, leaf: int, base: int, p_BLs: Array) -> tuple[int, floa
         leaf: Its last body.
         base: The body that it grows from.
         p_BLs: Origins of all bodies at the zero posture [m], shape (n_links, 3).
+        p_BFrom: Where the link that carries the chain has its own frame [m], shape (3,).
 
     Returns:
-        Number of joints; distance of the last joint from the base's frame [m]; length along the chain from its first
+        Number of joints; distance of the last joint from that frame [m]; length along the chain from its first
         joint to the farthest point of the last body [m]; mass that the file gives its links [kg].
     """
     path = [leaf]
@@ -218,4 +219,4 @@ def limb_size(tree: Tree, leaf: int, base: int, p_BLs: Array) -> tuple[int, floa
     end = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
     masses = [m.link.inertia.mass for k in path for m in tree.members[k] if m.link.inertia is not None]
     mass = float(sum(m for m in masses if np.isfinite(m) and m > 0.0))
-    return len(path), float(np.linalg.norm(p_BLs[leaf] - p_BLs[base])), sum(steps) + end, mass
+    return len(path), float(np.linalg.norm(p_BLs[leaf] - p_BFrom)), sum(steps) + end, mass

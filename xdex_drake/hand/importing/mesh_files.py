@@ -1,7 +1,7 @@
 """The mesh files that a robot file refers to: which may be read, and how they become triangles.
 
 A robot file may read meshes within the hand's folder alone. That is the nearest folder at or above the file, at most
-four levels up, that holds a `package.xml` (a ROS package); without one, the folder above where the file lies in a
+six levels up, that holds a `package.xml` (a ROS package); without one, the folder above where the file lies in a
 folder for robot files (`urdf`, `robots`, `mjcf`, ...); else the file's own folder. Links of the file system are
 followed before that is decided. Beyond it, `package://NAME/...` may read a folder of that name above the file, a
 package of that name beside the hand's folder (known by its `package.xml`), one that `ROS_PACKAGE_PATH` leads to, and
@@ -27,7 +27,7 @@ from xdex_drake.mesh_file import MESH_SUFFIXES, read_triangles
 MAX_BYTES = 200_000_000
 MAX_TRIANGLES = 1_000_000
 MAX_FILES = 1_000
-PACKAGE_LEVELS = 4
+PACKAGE_LEVELS = 6
 MAX_PACKAGES = 500
 """A folder is searched for packages among this many of its entries at most."""
 

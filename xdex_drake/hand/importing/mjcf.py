@@ -34,13 +34,14 @@ from xdex_drake.hand.importing.tree import as_one_tree, check_mimics
 from xdex_drake.hand.importing.xml_file import MAX_BYTES, MAX_ELEMENTS, Element, Place, check_names, read_xml
 
 WHAT = "an MJCF file of one hand"
+ROOTS = ("mujoco", "mujocoinclude")
 MAX_INCLUDES = 50
 ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "dcmotor")
 UNSUPPORTED = ("attach", "replicate", "composite", "flexcomp")
 WORLD = "world"
 
-MOST_TURN_OF_DEGREES = np.pi / 20.0
-"""Greatest range of a hand whose joint limits were meant in radians and taken as degrees [rad]."""
+MOST_TURN_OF_DEGREES = 1.01 * np.deg2rad(4.0 * np.pi)
+"""Greatest range of a hand whose joint limits were meant in radians, two turns at most, and taken as degrees."""
 
 SCENERY = 0.5
 """A geom of the world that is longer than this is a floor, a wall or a table, not a part of the hand [m]."""
@@ -70,10 +71,14 @@ def read_mjcf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
     """
     path = Path(path)
     root = read_xml(path, WHAT)
-    if root.tag != "mujoco":
+    if root.tag not in ROOTS:
         raise HandFileError(f"{path}: its root element is <{root.tag[:40]}>, not <mujoco>; give {WHAT}")
     meshes = MeshFiles(path, allowed)
     _Includes(path, meshes).expand(root, meshes.folder, 0)
+    if bodies := root.findall("body"):  # A fragment that others include within their <worldbody>.
+        world = Element("worldbody")
+        world.extend(bodies)
+        root.append(world)
     reader = _Reader(path, root, meshes)
     model = reader.model()
     turns = [j.upper - j.lower for j in reader.joints if j.kind == "revolute" and np.isfinite(j.upper - j.lower)]
@@ -231,9 +236,8 @@ class _Reader:
             self._read_world(self.bodies[0])
         fixed = [top for top in tops if to_world and top not in jointed and not _is_free(top[0].element)]
         if len(jointed) + len(fixed) < len(tops):
-            self.notes.append(
-                f"{len(tops) - len(jointed) - len(fixed)} bodies of the world without joints are left out"
-            )
+            loose = [top[0].place for top in tops if top not in jointed and top not in fixed]
+            self.notes.append(f"{join(loose, 3)} of the world, which no joint ties to the hand, left out")
         for place, X_WF, childclass in tops:
             if (place, X_WF, childclass) in jointed or (place, X_WF, childclass) in fixed:
                 self._read_body(place, X_WF, childclass, self.bodies[0] if to_world else None)

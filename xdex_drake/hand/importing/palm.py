@@ -10,7 +10,7 @@ from xdex_drake.errors import HandFileError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.importing.bodies import Tree, build_tree, link_poses
 from xdex_drake.hand.importing.decisions import Decision, Decisions, join
-from xdex_drake.hand.importing.finger_names import side_from_names
+from xdex_drake.hand.importing.finger_names import FINGER_WORDS, LIMB_WORDS, name_words, side_from_names
 from xdex_drake.hand.importing.limbs import (
     HEAVY,
     MOST_JOINTS,
@@ -202,19 +202,38 @@ def _palms(model: FileModel, tree: Tree, ends: dict[str, list[int]], top: str, a
     while len(groups) == 1 and len(ends[groups[0]]) == len(ends[top]):
         top = groups[0]
         groups = [joint.child for joint in model.joints if joint.parent == top and len(ends[joint.child]) >= 2]
-    _, p = link_poses(tree.skeleton, np.clip(0.0, *tree.skeleton.limits)[None])
-    body = next((k for k, members in enumerate(tree.members) if top in {m.link.name for m in members}), None)
-    fits = body is not None and len(ends[top]) > 0 and all(_is_finger(tree, leaf, body, p[0]) for leaf in ends[top])
+    R, p = link_poses(tree.skeleton, np.clip(0.0, *tree.skeleton.limits)[None])
+    place = next(((k, m.X_LF[:3, 3]) for k, body in enumerate(tree.members) for m in body if m.link.name == top), None)
+    fits = place is not None and len(ends[top]) > 0 and not _says_limbs(tree, ends[top], place[0])
+    if place is not None and fits:
+        body, p_LTop = place
+        p_BTop = p[0, body] + R[0, body] @ p_LTop
+        fits = all(_is_finger(tree, leaf, body, p[0], p_BTop) for leaf in ends[top])
     if fits and not _are_hands(model, tree, ends, top, groups, p[0]):
         return [top] if len(ends[top]) >= 2 else []
     apart.add(top)
     return [name for group in groups for name in _palms(model, tree, ends, group, apart)]
 
 
-def _is_finger(tree: Tree, leaf: int, base: int, p_BLs: Array) -> bool:
-    count, reach, length, mass = limb_size(tree, leaf, base, p_BLs)
+def _is_finger(tree: Tree, leaf: int, base: int, p_BLs: Array, p_BTop: Array) -> bool:
+    count, reach, length, mass = limb_size(tree, leaf, base, p_BLs, p_BTop)
     heavy = mass > HEAVY[0] and length > HEAVY[1]
     return count <= MOST_JOINTS and reach <= MOST_REACH and length <= MOST_LENGTH and not heavy
+
+
+def _says_limbs(tree: Tree, leaves: list[int], base: int) -> bool:
+    """Whether the names along two chains or more speak of arms, legs or a head, and none speaks of a finger."""
+    hand = tree.skeleton
+    limbs = 0
+    for leaf in leaves:
+        words: set[str] = set()
+        while leaf != base:
+            words |= name_words(hand.joints[leaf - 1].name) | name_words(hand.links[leaf].name)
+            leaf = int(hand.parents[leaf])
+        if words & FINGER_WORDS:
+            return False
+        limbs += bool(words & LIMB_WORDS)
+    return limbs >= 2
 
 
 def _are_hands(
@@ -251,10 +270,10 @@ def _why(tree: Tree) -> str:
         base = int(hand.parents[leaf])
         while base > 0 and branches[base] == 1:
             base = int(hand.parents[base])
-        count, _, length, mass = limb_size(tree, leaf, base, p)
+        count, _, length, mass = limb_size(tree, leaf, base, p, p[base])
         name = tree.members[leaf][0].link.name
         told.append(f"{name} ends a chain of {count} joints, {length:.2g} m and {mass:.2g} kg")
-    if len(leaves) == 1 and limb_size(tree, leaves[0], 0, p)[0] > 2:
+    if len(leaves) == 1 and limb_size(tree, leaves[0], 0, p, p[0])[0] > 2:
         return f"it is a chain without a branch ({told[0]}), as an arm without a hand"
     if len(leaves) == 1:
         return f"one finger or jaw alone moves ({told[0]}), and nothing would oppose it"
