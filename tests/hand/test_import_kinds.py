@@ -573,6 +573,18 @@ def test_an_equality_of_tendons_couples_two_joints(tmp_path: Path, tendons, equa
     assert not told(imported)
 
 
+def test_a_tendon_that_cannot_be_kept_is_told_once(tmp_path: Path) -> None:
+    three = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("a_mcp", "a_pip", "b_mcp"))
+    along = '<spatial name="s"><site site="p"/><site site="q"/></spatial>'
+    drive = "".join(f'<motor joint="{f}_{j}"/>' for f in "abc" for j in ("mcp", "pip")) + '<motor tendon="s"/>'
+    tail = f'<tendon><fixed name="t">{three}</fixed>{along}</tendon><equality><tendon tendon1="t"/></equality>'
+    imported = import_hand(put(tmp_path / "t.xml", mjcf(mjcf_fingers(), tail=f"{tail}<actuator>{drive}</actuator>")))
+    warnings = told(imported)
+    assert len(warnings) == 2
+    assert "ties 3 joints" in warnings[0]
+    assert "'s' along sites" in warnings[1]
+
+
 def test_contact_bits_rule_out_contact(tmp_path: Path) -> None:
     fingers = mjcf_fingers(' contype="2" conaffinity="2"')
     pairs = import_hand(put(tmp_path / "bits.xml", mjcf(fingers))).hand.ignored_contacts
@@ -632,6 +644,25 @@ def test_a_parallelogram_is_exact(tmp_path: Path) -> None:
     laws = {joint.name: joint.coupling for joint in hand.joints if joint.coupling is not None}
     assert (laws["a_rock"].multiplier, laws["a_rock"].offset) == (pytest.approx(1.0), pytest.approx(0.0, abs=1e-6))
     assert (laws["a_tip_j"].multiplier, laws["a_tip_j"].offset) == (pytest.approx(-1.0), pytest.approx(0.0, abs=1e-6))
+
+
+def test_a_rod_that_pushes_a_finger_is_none(tmp_path: Path) -> None:
+    text = loops = ""
+    for name, m in (("a", 1), ("b", -1)):
+        axis = f'axis="{m} 0 0"'
+        text += f"""<body name="{name}_finger" pos="0 {0.04 * m} 0.1">
+          <joint name="{name}_bend" {axis} range="-0.2 1.2"/>
+          <geom type="box" size="0.008 0.005 0.04" pos="0 0 0.04"/></body>
+          <body name="{name}_rod" pos="0 {0.02 * m} 0.08">
+            <joint name="{name}_push" type="slide" axis="0 0 1" range="-0.01 0.02"/>
+            <geom type="box" size="0.003 0.003 0.01" contype="0" conaffinity="0"/>
+            <body name="{name}_link"><joint name="{name}_pin" {axis} range="-2 2"/>
+              <geom type="capsule" fromto="0 0 0 0 {0.02 * m} 0.005" size="0.002"/></body></body>"""
+        loops += f'<connect body1="{name}_finger" body2="{name}_link" anchor="0 {-0.004 * m} 0"/>'
+    drives = '<actuator><position joint="a_push"/><position joint="b_push"/></actuator>'
+    imported = import_hand(put(tmp_path / "rods.xml", mjcf(text, tail=f"<equality>{loops}</equality>{drives}")))
+    assert set(fingers(imported).values()) == {"a_finger", "b_finger"}
+    assert imported.hand.joint_names == ("a_push", "b_push")
 
 
 def test_a_loop_that_two_motors_drive_is_left_open_and_told(tmp_path: Path) -> None:

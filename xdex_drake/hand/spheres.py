@@ -31,6 +31,9 @@ REACH = 2.8e-3
 CANDIDATES = 700
 """Number of candidate centers in a box or hull, roughly."""
 
+MOST_CANDIDATES, MOST_ALONG = 6000, 100
+"""Greatest number of candidate centers in one box or hull, and along its longest side."""
+
 MAX_PER_SOLID = 36
 """Greatest number of spheres of one box or hull."""
 
@@ -97,7 +100,7 @@ def _spheres_of_solid(solid: Solid, others: tuple[Geometry, ...]) -> Array:
     (normals, offsets), corners = solid.half_spaces(), solid.corners()
     low, high = corners.min(axis=0), corners.max(axis=0)
     # A grid of candidate centers, about `CANDIDATES` in number, and points on the surface at the same spacing.
-    step = float(np.prod(high - low) / CANDIDATES) ** (1 / 3)
+    step = _spacing(float(np.prod(high - low)), (high - low)[None])
     centers, depth = _grid_inside(normals, offsets, corners, step)
     radii = depth + BULGE
     points = _surface_points(corners, step)
@@ -139,8 +142,8 @@ def _spheres_of_parts(geometry: tuple[Geometry, ...]) -> Array:
     rows = np.concatenate([np.zeros((0, 4)), *swept])
     solids = [(*shape.half_spaces(), shape.corners()) for shape in geometry if isinstance(shape, Solid)]
     others = [shape for shape in geometry if isinstance(shape, Round)]
-    volumes = np.array([float(np.prod(np.ptp(corners, axis=0))) for _, _, corners in solids])
-    step = float(volumes.sum() / CANDIDATES) ** (1 / 3)
+    sizes = np.array([np.ptp(corners, axis=0) for _, _, corners in solids])
+    step = _spacing(float(sizes.prod(axis=1).sum()), sizes)
 
     def outside(points: Array, but: int = -1) -> Array:
         """How far points lie outside of all solids (but one) and other shapes [m]."""
@@ -220,6 +223,17 @@ def _directions(count: int) -> Array:
     z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     ring = np.sqrt(1.0 - z**2)
     return np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
+
+
+def _spacing(volume: float, sizes: Array) -> float:
+    """Spacing of candidates and surface points [m]: wider in needles and sheets, of which there would be millions."""
+    step = (volume / CANDIDATES) ** (1 / 3)
+    while (
+        step < sizes.max() / MOST_ALONG
+        or np.maximum(sizes / max(step, 1e-12), 3.0).prod(axis=1).max() > MOST_CANDIDATES
+    ):
+        step = 1.25 * step + 1e-9
+    return step
 
 
 def _grid_inside(normals: Array, offsets: Array, corners: Array, step: float) -> tuple[Array, Array]:

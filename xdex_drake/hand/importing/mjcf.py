@@ -220,6 +220,7 @@ class _Reader:
         self.bodies: list[_Body] = []
         self.joints: list[FileJoint] = []
         self.refs: dict[str, float] = {}
+        self.told_tendons: set[str] = set()
 
     def model(self) -> FileModel:
         source = self.source
@@ -581,23 +582,27 @@ class _Reader:
         terms = self._tendon_terms(first)
         other = self._tendon_terms(second) if second is not None else {}
         if terms is None or other is None or not set(terms) | set(other) <= set(by_name):
-            self.notes.append(f"{place.place} of {first!r} is left out: only fixed tendons over joints are read")
+            self._leave_out(place, first, "only fixed tendons over joints are read")
             return
         for joint, coefficient in other.items():
             terms[joint] = terms.get(joint, 0.0) - coefficients[1] * coefficient
         terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient != 0.0}
         if len(terms) != 2 or (other and coefficients[2:].any()):
-            self.notes.append(f"{place.place} of {first!r} is left out: it ties {len(terms)} joints, not two by a line")
+            self._leave_out(place, first, f"it ties {len(terms)} joints, not two by a line; they count as independent")
             return
         # The joint that has a motor leads; else the one nearer to the palm, which comes first.
         order = [joint.name for joint in self.joints]
         leader, follower = sorted(terms, key=lambda name: (name not in self._motors(), order.index(name)))
         if by_name[follower].mimic is not None or _leads_to(by_name, leader, follower):
-            self.notes.append(f"{place.place} of {first!r} is left out: joint {follower!r} is coupled already")
+            self._leave_out(place, first, f"joint {follower!r} is coupled already")
             return
         slope = -terms[leader] / terms[follower]
         offset = coefficients[0] / terms[follower] + self.refs[follower] - slope * self.refs[leader]
         by_name[follower] = _changed(by_name[follower], mimic=FileMimic(leader, slope, offset))
+
+    def _leave_out(self, place: Place, tendon: str, why: str) -> None:
+        self.notes.append(f"{place.place} of {tendon!r} is left out: {why}")
+        self.told_tendons.add(tendon)
 
     def _tendon_terms(self, name: str) -> dict[str, float] | None:
         """Coefficient of each joint of a fixed tendon; None for one along sites, or one that does not exist."""
@@ -619,6 +624,8 @@ class _Reader:
         """Says which tendons tie joints that stay independent; those of one joint or of a coupling say nothing."""
         free = {}
         for tendon in self._section("tendon"):
+            if tendon.get("name", "") in self.told_tendons:
+                continue
             parts = [child.get("joint", "") for child in tendon.findall("joint")]
             coupled = sum(part in by_name and by_name[part].mimic is not None for part in parts)
             if not parts or (len(parts) > 1 and coupled < len(parts) - 1):
@@ -666,7 +673,7 @@ class _Reader:
                     if part.get("joint") in by_name:
                         coefficient = Place(part, self.source, f"tendon {tendon.get('name')!r}").number("coef", 1.0)
                         _note_effort(driven, str(part.get("joint")), effort, abs(coefficient))
-            else:
+            elif tendon is None:  # That one along sites is left out is told with the tendon.
                 self.notes.append(f"{place.place} drives no joint and is left out")
         if not actuators:
             return joints

@@ -333,11 +333,8 @@ def find_chains(tree: Tree, model: FileModel, decisions: Decisions) -> list[Chai
         branch = max((n + 1 for n, k in enumerate(path[:-1]) if len(children[k]) > 1), default=0)
         chains.append(Chain(tuple(path[branch:]), tuple(path[:branch])))
     tied = _tied_by_loops(tree, model, chains)
-    kept = [
-        chain
-        for k, chain in enumerate(chains)
-        if k not in tied and not _is_idle(tree, chain) and not _is_gear(hand, chain, chains[:k] + chains[k + 1 :])
-    ]
+    free = [chain for k, chain in enumerate(chains) if k not in tied and not _is_idle(tree, chain)]
+    kept = [chain for chain in free if not _is_gear(hand, chain, [other for other in free if other is not chain])]
     kept = kept or chains
     names = [hand.links[chain.bodies[-1]].name for chain in chains if chain not in kept]
     names += [hand.links[k].name for k in sorted(folded)]
