@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from xdex_drake.cli import main
+from xdex_drake.cli.grasps import _other_sides
 from xdex_drake.dataset.files import load_grasps
 from xdex_drake.dataset.grasp_file import read_grasps, write_grasps
 from xdex_drake.grasping.tally import Tally
+from xdex_drake.hand.library import load_hand
+from xdex_drake.hand.mirror import mirror
 from xdex_drake.interchange.formats import FORMATS
 from xdex_drake.interchange.naming import resolve
 from xdex_drake.jobs.grasps import BatchResult, GraspRequest, synthesize_batches
@@ -116,6 +119,12 @@ def test_retargeted_grasps_name_their_source(grasps, tmp_path, capsys):
     if out.exists():
         sources = {row["grasp_id"] for row in read_grasps(grasps)}
         assert {row["source_grasp_id"] for row in read_grasps(out)} <= sources
+
+
+def test_hands_of_the_other_side_are_told_of():
+    allegro = load_hand("allegro")
+    (said,) = _other_sides([allegro], {"left.yaml": mirror(allegro), "shadow": load_hand("shadow")})
+    assert said.startswith("left.yaml is a left hand and allegro a right one") and "xdex hand mirror" in said
 
 
 @pytest.mark.parametrize("column", ["object_digest", "hand_digest"])

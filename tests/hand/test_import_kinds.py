@@ -474,6 +474,12 @@ def test_meshes_in_millimetres_are_told_and_shrunk(tmp_path: Path) -> None:
         np.testing.assert_allclose(a.spheres, b.spheres, atol=1e-9)
 
 
+def test_flat_meshes_get_a_thickness(tmp_path: Path) -> None:
+    flat = "v 0 0 0\nv 0.01 0 0\nv 0.01 0 0.04\nv 0 0 0.04\nf 1 2 3\nf 1 3 4"
+    put(tmp_path / "f.obj", flat)
+    assert shaped(import_hand(put(tmp_path / "claw.urdf", meshed_urdf("f.obj", "")))) == 7
+
+
 def test_lfs_pointers_are_named_with_their_remedy(tmp_path: Path) -> None:
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1013429\n"
     put(tmp_path / "f.obj", pointer)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -25,6 +25,7 @@ from xdex_drake.cli.output import (
 if TYPE_CHECKING:
     from xdex_drake.dataset.files import StoredGrasp
     from xdex_drake.grasp import Grasp, Lift
+    from xdex_drake.hand.description import Hand
 
 
 @dataclass(frozen=True)
@@ -232,6 +233,8 @@ class Retarget:
         from xdex_drake.jobs.stored import retarget_all, retarget_units
 
         stored = _grasps_of(self.file)
+        for line in _other_sides({item.hand.name: item.hand for item in stored}.values(), targets):
+            print(line, file=sys.stderr)
         units = retarget_units(stored, self.to)
         rows = []
         tallies = {target: Tally() for target in self.to}
@@ -256,6 +259,20 @@ class Retarget:
         print(f"{len(rows)} of {len(units)} written to {self.out}" if rows else "nothing written")
         print(f"{time.perf_counter() - begin:.1f} s")
         return interruption.status(0 if any(t.lifted for t in tallies.values()) else 1)
+
+
+def _other_sides(sources: Collection[Hand], targets: Mapping[str, Hand]) -> list[str]:
+    """What is to be said of hands that take over grasps of the other side's hands."""
+    told = []
+    for target, hand in targets.items():
+        names = sorted(source.name for source in sources if source.side != hand.side)
+        if names:
+            other = {"right": "left", "left": "right"}[hand.side]
+            told.append(
+                f"{target} is a {hand.side} hand and {names[0]} a {other} one: fingers are matched by name, and the "
+                f"thumb comes from the other side; `xdex hand mirror {target} --out FILE.yaml` makes a {other} one"
+            )
+    return told
 
 
 @dataclass(frozen=True)

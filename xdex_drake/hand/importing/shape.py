@@ -281,7 +281,8 @@ def _split(points: Array, faces: Faces) -> list[Array]:
     surface = _samples(points, faces, SAMPLES)
     tree = KDTree(surface)
     spacing = float(np.median(tree.query(surface[::10], k=2)[0][:, 1]))
-    whole = np.concatenate([surface, points[_hull(points).vertices] if len(points) > 3 else points])
+    hull = _hull(points)  # Of flat pieces it has other points than they.
+    whole = np.concatenate([surface, hull.points[hull.vertices]])
     parts: list[tuple[Array, list[tuple[Array, float]]]] = [(whole, [])]
     done: list[Array] = []
     while parts:
