@@ -126,16 +126,20 @@ def grasped(file: Path, limit: float) -> dict[str, str]:
     after = os.times()
     lines = done.stdout.splitlines()
 
-    def number(word: str) -> str:
-        return next((line.split()[1] for line in lines if line.startswith(f"{word}  ")), "0")
+    def told(word: str, default: str = "") -> str:
+        return next((line[len(word) :].strip() for line in lines if line.startswith(f"{word}  ")), default)
+
+    lifted = min(3, int(told("lifted", "0")))
+    why = [f"{word}: {told(word)}" for word in ("rejected by", "failed by") if told(word)] if lifted < 3 else []
+    if not lines:
+        why = done.stderr.strip().splitlines()[-1:]
 
     seconds = after.children_user + after.children_system - before.children_user - before.children_system
-    says = (done.stderr.strip().splitlines() or lines or [""])[-1] if number("lifted") != "3" else ""
     return {
-        "lifted": f"{min(3, int(number('lifted')))} of 3",
-        "tried": number("tried"),
+        "lifted": f"{lifted} of 3",
+        "tried": told("tried", "0"),
         "cpu_s": f"{seconds:.0f}",
-        "says": says[:160].replace(str(file.parent), ""),
+        "says": "; ".join(why)[:160].replace(str(file.parent), ""),
     }
 
 

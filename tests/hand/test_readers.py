@@ -230,7 +230,7 @@ def test_an_mjcf_file_is_read(tmp_path) -> None:
     assert joints["slider"].kind == "prismatic"
     told = " ".join(model.notes)
     assert "tendon 'pair'" in told
-    assert "without joints" in told
+    assert "no joint ties" in told
 
 
 def test_loops_are_points_that_coincide(tmp_path) -> None:
@@ -329,6 +329,20 @@ def test_an_sdformat_file_is_read(tmp_path) -> None:
     assert mesh.source == "part.stl"
     assert len(model.links[1].visual) == 1
     assert any("absent.dae" in note for note in model.notes)
+
+
+def test_coupled_joints_of_an_sdformat_file(tmp_path) -> None:
+    more = """<link name="tip"><pose relative_to="bend"/></link>
+      <joint name="bend" type="revolute"><parent>jaw</parent><child>tip</child>
+      <pose relative_to="jaw">0 0 0.1 0 0 0</pose>
+      <axis><xyz>0 1 0</xyz><limit><lower>-1</lower><upper>1</upper></limit>
+      <mimic joint="hinge"><multiplier>0.5</multiplier>
+      <offset>0.3</offset><reference>0.2</reference></mimic></axis></joint></model>"""
+    write_mesh(tmp_path / "part.stl")
+    model = read_sdf(write(tmp_path, SDF.replace("</model>", more).replace("1.9", "1.11"), "hand.sdf"))
+    law = model.joints[1].mimic
+    assert law is not None
+    assert (law.master, law.multiplier, law.offset) == ("hinge", 0.5, pytest.approx(0.2))
 
 
 @pytest.mark.parametrize("name", ["ability", "shadow"])

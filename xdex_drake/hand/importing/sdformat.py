@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,7 +18,8 @@ import numpy as np
 from xdex_drake.arrays import Array
 from xdex_drake.errors import HandFileError
 from xdex_drake.hand.importing.mesh_files import Allowed, MeshFiles, MissingMesh, notes_of_lost
-from xdex_drake.hand.importing.model import FileGeometry, FileLink, FileModel, TriangleMesh
+from xdex_drake.hand.importing.model import FileGeometry, FileLink, FileMimic, FileModel, TriangleMesh
+from xdex_drake.hand.importing.tree import check_mimics
 from xdex_drake.hand.importing.xml_file import MAX_LINKS, Element, read_xml
 
 WHAT = "an SDFormat file of one hand"
@@ -54,11 +56,14 @@ def read_sdf(path: str | Path, allowed: Allowed | None = None) -> FileModel:
         ElementTree.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
         model = _parse_apart(copy, path)
     links = _renamed(model, names, lost)
+    laws = _mimics(root, str(path))
+    joints = tuple(replace(joint, mimic=joint.mimic or laws.get(joint.name)) for joint in model.joints)
+    check_mimics(joints, str(path))
     return FileModel(
         model.name,
         str(path),
         links,
-        model.joints,
+        joints,
         model.ignored_pairs,
         (*model.notes, *notes_of_lost(links)),
         meshes.decisions,
@@ -94,12 +99,24 @@ def _check(root: Element, path: Path) -> None:
 _LIMITS = (("lower", -np.inf), ("upper", np.inf))
 
 
-def _number(limit: Element, tag: str, default: float, source: str, place: str) -> float:
-    text = limit.findtext(tag)
+def _number(element: Element, tag: str, default: float, source: str, place: str) -> float:
+    text = element.findtext(tag)
     try:
         return default if text is None else float(text)
     except ValueError:
-        raise HandFileError(f"{source}: {place} has the {tag} limit {text!r:.40}; write a number") from None
+        raise HandFileError(f"{source}: {place} has <{tag}> {text!r:.40}; write a number") from None
+
+
+def _mimics(root: Element, source: str) -> dict[str, FileMimic]:
+    """SDFormat's own laws, q = multiplier (q_leader - reference) + offset, which Drake's parser passes over."""
+    laws = {}
+    for joint in root.iter("joint"):
+        if (law := joint.find("axis/mimic")) is not None:
+            place = f"the <mimic> of joint {joint.get('name')!r}"
+            defaults = (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
+            slope, offset, reference = (_number(law, tag, default, source, place) for tag, default in defaults)
+            laws[joint.get("name", "")] = FileMimic(law.get("joint", ""), slope, offset - slope * reference)
+    return laws
 
 
 def _localize_meshes(root: Element, meshes: MeshFiles, folder: Path, lost: dict[str, list[str]]) -> dict[str, str]:
