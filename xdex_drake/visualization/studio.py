@@ -33,12 +33,13 @@ from xdex_drake.hand.looks import COARSE
 from xdex_drake.programs.grasp_types import GraspType
 from xdex_drake.scene.object import list_objects
 from xdex_drake.scene.tabletop import Scene
+from xdex_drake.simulation.protocol import LIFT
 from xdex_drake.visualization.film import FRAMES_PER_SECOND, Film
 from xdex_drake.visualization.page import ASPECT, FOV_Y, script_data
 from xdex_drake.visualization.replay import draw_certified
 from xdex_drake.visualization.stage import aim, draw_hand, draw_object, draw_table, play_films, start_meshcat
 from xdex_drake.visualization.studio_work import APPROACHES, Set, carry, film, find, lay_out, shaped_hand
-from xdex_drake.visualization.views import Blobs, frame_blobs, hand_blobs, object_points
+from xdex_drake.visualization.views import Blobs, best_view, frame_blobs, hand_blobs, object_points
 
 GENERATED = tuple(f"g0-{k:04d}" for k in range(8))
 """Generated hands that the page offers."""
@@ -241,6 +242,11 @@ class Studio:
             frames_per_second=FRAMES_PER_SECOND,
             detail=COARSE,
         )
+        # All of it stays in the picture, to the top.
+        X_WC = best_view(
+            self._grasp, self._hand, self._scene, fov_y=FOV_Y, aspect=ASPECT, rise_m=LIFT.rise_m, direction=VIEW
+        )
+        aim(self.meshcat, X_WC, self._scene.X_WO.translation() + np.array([0.0, 0.0, 0.5 * LIFT.rise_m]))
         self._reveal()
         return "lifted" if lift.success else f"not lifted: {lift.failure_reason.replace('_', ' ')}"
 
