@@ -32,17 +32,23 @@ OUTPUT = {
 class Export:
     """Stored grasps for other tools, or for a robot.
 
-    json            every column in plain numbers and names, and for each grasp its execution: waypoints from the
-                    approach to the lift with times, base-link poses, joint positions, torques and gains
-    isaac_grasp     YAML 1.0 of Isaac and GraspGen; squeeze and object pose are extra keys that they pass over
-    dexgraspbench   arrays with the keys of DexGraspBench and HUGS, as .npz with names in a .json beside
-    dexgraspdb      JSON v3 of EquiDexFlow; grasps with one contact of each of four fingers, by hands of 16 joints
-    arrays          .npz of joint values and poses, with names in a .json beside
-    mujoco          a folder with a scene a grasp, ready for `python -m mujoco.viewer --mjcf=GRASP.xml`, with the key
-                    frames pregrasp, grasp and squeeze, and execution.json
-    urdf            a folder with hand and objects as URDF, and execution.json
+    json: every column in plain numbers and names, and for each grasp its execution, waypoints from the approach to the
+    lift with times, base-link poses, joint positions, torques and gains.
 
-    In files of poses these are of the hand's base link, which is named there. `xdex judge` reads all of these files.
+    isaac_grasp: YAML 1.0 of Isaac and GraspGen; squeeze and object pose are extra keys that they pass over.
+
+    dexgraspbench: arrays with the keys of DexGraspBench and HUGS, as .npz with names in a .json beside.
+
+    dexgraspdb: JSON v3 of EquiDexFlow; grasps with one contact of each of four fingers, by hands of 16 joints.
+
+    arrays: .npz of joint values and poses, with names in a .json beside.
+
+    mujoco: a folder with a scene a grasp, ready for `python -m mujoco.viewer --mjcf=GRASP.xml`, with the key frames
+    pregrasp, grasp and squeeze, and execution.json.
+
+    urdf: a folder with hand and objects as URDF, and execution.json.
+
+    Files of poses are of the hand's base link, which is named there; `xdex judge` reads these four formats again.
     Try `xdex export grasps.parquet --out grasps.json`, then
     `xdex export grasps.parquet --format mujoco --out scenes`.
 

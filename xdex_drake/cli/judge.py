@@ -223,7 +223,7 @@ def _tell(found: Sequence[Judgement], units: Sequence[JudgeUnit]) -> None:
         ]
         print(table(rows, ("grasp", "certified", "task margin", "ball margin", "depth [mm]", *names, "reason")) + "\n")
     total = len(found)
-    reasons = Counter(one.reason for one in found if one.reason)
+    reasons = Counter(one.reason.split(":")[0] for one in found if one.reason)
     lines = [("certificate", sum(one.certified for one in found), total, counts(reasons))]
     for k, name in enumerate(names):
         failed = Counter(one.verdicts[k].failure_reason or "dropped" for one in found if not one.verdicts[k].passed)
