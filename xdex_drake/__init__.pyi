@@ -38,6 +38,7 @@ from .hand.kinematics import Configuration as Configuration
 from .hand.library import list_hands as list_hands
 from .hand.library import load_hand as load_hand
 from .hand.mirror import mirror as mirror
+from .hand.plant import add_hand as add_hand
 from .hand.variation import (
     apply_operations as apply_operations,
 )
@@ -67,13 +68,18 @@ from .retargeting.keypoints import read_points as read_points
 from .retargeting.object_stream import Guarded as Guarded
 from .retargeting.object_stream import ObjectStream as ObjectStream
 from .retargeting.object_stream import follow_beside as follow_beside
+from .scene.bodies import add_object as add_object
+from .scene.bodies import add_table as add_table
 from .scene.camera import camera_poses as camera_poses
 from .scene.camera import can_see as can_see
 from .scene.camera import depth_cloud as depth_cloud
+from .scene.fixtures import Fixture as Fixture
 from .scene.object import ObjectModel as ObjectModel
 from .scene.object import load_object as load_object
+from .scene.plant import add_carriage as add_carriage
 from .scene.plant import build_plant as build_plant
 from .scene.procedural import list_objects as list_objects
+from .scene.region import Region as Region
 from .scene.tabletop import (
     Scene as Scene,
 )
@@ -90,6 +96,8 @@ from .scene.tabletop import (
     stable_poses as stable_poses,
 )
 from .simulation.drake import lift as lift
+from .simulation.own_diagram import GraspPlayer as GraspPlayer
+from .simulation.own_diagram import apply_grasp as apply_grasp
 from .simulation.protocol import (
     LIFT as LIFT,
 )

@@ -171,7 +171,8 @@ class Grasp:
         proof, lift = self.certificate, self.lift
         name = f"{self.grasp_id!r}, " if self.grasp_id else ""
         links = "not certified" if proof is None else f"touches by {', '.join(c.link for c in proof.contacts)}"
-        verdict = (
-            "not lifted yet" if lift is None else "lifts" if lift.success else f"does not lift: {lift.failure_reason}"
-        )
+        does, not_done = ("lifts", "does not lift")
+        if lift is not None and lift.protocol.endswith("release"):
+            does, not_done = ("is held", "is not held")
+        verdict = "not lifted yet" if lift is None else does if lift.success else f"{not_done}: {lift.failure_reason}"
         return f"Grasp({name}{self.object!r} by {self.hand!r}, {links}, {verdict})"

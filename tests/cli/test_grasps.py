@@ -4,10 +4,12 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 
 import numpy as np
 import pytest
+import trimesh
 
 from xdex_drake.cli import main
 from xdex_drake.cli.grasps import _other_sides
@@ -19,6 +21,8 @@ from xdex_drake.hand.mirror import mirror
 from xdex_drake.interchange.formats import FORMATS
 from xdex_drake.interchange.naming import resolve
 from xdex_drake.jobs.grasps import BatchResult, GraspRequest, synthesize_batches
+from xdex_drake.jobs.preparation import SceneRequest, prepare
+from xdex_drake.programs.obstacles import thicknesses, too_thick
 from xdex_drake.scene.facts import SceneFacts
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
@@ -29,7 +33,7 @@ def grasps(tmp_path_factory):
     """A file of two grasps of the can by Allegro."""
     file = tmp_path_factory.mktemp("grasps") / "grasps.parquet"
     words = ["grasp", "--hand", "allegro", "--object", "can", "--count", "2", "--workers", "1", "--out", str(file)]
-    assert main(words) == 0
+    assert main([*words, "--time-limit", "250"]) == 0
     return file
 
 
@@ -137,10 +141,37 @@ def test_a_changed_mesh_or_hand_is_refused(grasps, tmp_path, capsys, column):
 
 def test_nothing_found_is_status_1(tmp_path, capsys):
     out = tmp_path / "none.parquet"
-    words = ["grasp", "--hand", "allegro", "--object", "can", "--friction", "0.01", "--time-limit", "3"]
+    words = ["grasp", "--hand", "allegro", "--object", "can", "--friction", "0.01"]
     assert main([*words, "--workers", "1", "--out", str(out)]) == 1
     said = capsys.readouterr()
     assert not out.exists() and "friction of 0.01 is too low" in said.out + said.err
+
+
+def test_a_time_limit_ends_the_preparation_too(tmp_path, capsys):
+    file = tmp_path / "scan.stl"
+    trimesh.creation.torus(major_radius=0.06, minor_radius=0.02, major_sections=200, minor_sections=200).export(file)
+    words = ["grasp", "--hand", "allegro", "--object", str(file), "--out", str(tmp_path / "none.parquet")]
+    begin = time.monotonic()
+    assert main([*words, "--time-limit", "0.5"]) == 1
+    assert time.monotonic() - begin < 30.0  # its convex parts take a minute of processor time
+    assert "took more than --time-limit 0.5 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shape", ["ball", "ring"])
+def test_a_huge_round_object_is_refused_by_its_size(tmp_path, shape):
+    mesh = trimesh.creation.icosphere(3, 0.6) if shape == "ball" else trimesh.creation.torus(0.6, 0.25)
+    file = tmp_path / f"{shape}.stl"
+    mesh.export(file)
+    ready = prepare(SceneRequest("allegro", str(file)))
+    assert ready.scene is None and "too large for the hand" in ready.obstacle and "314 mm apart" in ready.obstacle
+
+
+def test_thickness_is_the_way_through():
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    thin = thicknesses(np.asarray(box.vertices), np.asarray(box.faces))
+    assert sorted({round(float(t), 6) for t in thin}) == [0.1, 0.2, 0.3]
+    hand = load_hand("allegro")
+    assert too_thick(hand, np.asarray(box.vertices), np.asarray(box.faces)) is None
 
 
 def test_ctrl_c_keeps_what_is_finished(grasps, tmp_path, monkeypatch, capsys):

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from xdex_drake.errors import ConfigError
-from xdex_drake.jobs.processes import UnitResult, run_units
+from xdex_drake.jobs.deadline import ending_at
+from xdex_drake.jobs.processes import UnitResult, run_apart, run_units
 
 
 def square(unit):
@@ -232,3 +233,38 @@ def test_a_script_without_its_guard_gets_an_explanation(tmp_path):
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "a script needs its `if __name__" in errors
+
+
+def test_one_unit_apart_is_killed_at_its_limit_and_tells_how_long_it_takes():
+    assert run_apart(misbehave, "word").value == "WORD"
+    waited = []
+    done = run_apart(misbehave, "hang", timeout_s=3.0, on_wait=waited.append, wait_s=0.2)
+    assert done.value is None and done.failure.kind == "timeout" and waited == sorted(waited) and waited
+    assert run_apart(misbehave, "raise").failure.kind == "raised"
+    assert run_apart(misbehave, "abort").failure.kind == "crashed"
+
+
+def test_a_block_ends_at_its_deadline_whatever_it_does():
+    steps = 0
+    begin = time.time()
+    with ending_at(begin + 0.2):
+        while time.time() < begin + 60.0:
+            with contextlib.suppress(Exception):  # no handler of errors takes the end for one
+                steps += 1
+    assert steps > 0 and time.time() < begin + 30.0
+    with ending_at(time.time() + 1e9):
+        steps = 0
+    assert steps == 0
+
+
+def test_what_a_limit_ends_takes_its_own_children_along(tmp_path):
+    """A worker that splits a mesh has a child of its own, which must not go on without it."""
+    code = (
+        "from xdex_drake.scene.split_process import _end_with_parent as f; f(); print('on', flush=True); import time\n"
+    )
+    parent = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {code + 'time.sleep(60)'!r}]).wait()"
+    with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"on\n"
+        process.kill()
+        if sys.platform.startswith("linux"):
+            assert process.stdout.read() == b""  # its end of the pipe is closed: it has gone

@@ -20,6 +20,7 @@ from xdex_drake.cli.output import (
     progress,
     table,
     tell_repairs,
+    waiting,
 )
 
 if TYPE_CHECKING:
@@ -49,9 +50,16 @@ class GraspCommand:
         scene_seed: Choice of the pose at which the object rests on the table; 0 is the most probable one.
         pose: Number of that pose, as `xdex object show` lists them; instead of --scene-seed.
         upright: Take the pose at which z of the object's file points up; instead of --scene-seed.
+        obstacle: Something that is fixed beside the object, as OBJECT@x,y,z or OBJECT@x,y,z,yaw in metres and degrees,
+            such as 0.02x0.3x0.2@0.12,0,0 for a wall; may be given more than once.
+        table_height: Height of the table's top [m].
+        no_table: The object floats, and a hand may come from anywhere; a grasp is then judged by protocol release:
+            the object is kept in place until it is squeezed, let go, and held for two seconds.
         contacts: Greatest number of fingers that touch.
         grasp_type: any, pinch (thumb and one finger), tripod (thumb and two) or power (with the palm).
         approach: Direction in which the palm comes, within 20 degrees, such as 0 0 -1 for from above.
+        region: Part of the object on which contacts lie, in its file's frame: bounds in metres such as z=0.06: or
+            x=-0.02:0.02,z=0:0.1, or the path of a closed mesh.
         time_limit: Seconds after which what was found is all there is.
         keep_failed: Store certified grasps that did not lift, too, flagged by `success`.
         html: Also write a page that replays the first grasps.
@@ -70,9 +78,13 @@ class GraspCommand:
     scene_seed: int = 0
     pose: int | None = None
     upright: tyro.conf.FlagCreatePairsOff[bool] = False
+    obstacle: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    table_height: float = 0.0
+    no_table: tyro.conf.FlagCreatePairsOff[bool] = False
     contacts: int = 4
     grasp_type: Literal["any", "pinch", "tripod", "power"] = "any"
     approach: tuple[float, float, float] | None = None
+    region: str | None = None
     time_limit: float = 120.0
     keep_failed: tyro.conf.FlagCreatePairsOff[bool] = False
     html: Path | None = None
@@ -88,6 +100,8 @@ class GraspCommand:
                 raise ConfigError(f"--{name} is {getattr(self, name)}; give 1 or more")
         if (self.pose is not None) + self.upright + (self.scene_seed > 0) > 1:
             raise ConfigError("--pose, --upright and --scene-seed each choose how the object lies; give one of them")
+        if self.no_table and self.table_height != 0.0:
+            raise ConfigError("--no-table and --table-height contradict each other; give one of them")
         if self.seed < 0 or self.scene_seed < 0:
             raise ConfigError("--seed and --scene-seed must be 0 or more")
         if not self.time_limit > 0.0:
@@ -96,31 +110,63 @@ class GraspCommand:
         if self.html is not None:
             check_output_file(self.html, ".html")
         begin = time.perf_counter()
-        # Hand and object first: what is wrong with them is told before the search and its torch are imported.
+        # Names first: what is wrong with them is told before the search and its torch are imported.
         from xdex_drake.hand.library import load_hand
-        from xdex_drake.scene.object import load_object
+        from xdex_drake.scene.object import check_object_name
+        from xdex_drake.scene.region import read_region
 
+        check_object_name(self.object)
+        region = None if self.region is None else read_region(self.region)
         hand = load_hand(self.hand)
-        model = load_object(self.object, scale=self.scale, mass=self.mass, friction=self.friction, density=self.density)
-        tell_repairs(model)
+        from xdex_drake.jobs.preparation import SceneRequest, prepare_in_time
+
+        wanted = SceneRequest(
+            self.hand,
+            self.object,
+            scale=self.scale,
+            mass=self.mass,
+            density=self.density,
+            friction=self.friction,
+            seed=self.scene_seed,
+            pose=self.pose,
+            upright=self.upright,
+            table=None if self.no_table else self.table_height,
+            obstacles=self.obstacle,
+            contacts=self.contacts,
+            grasp_type=self.grasp_type,
+        )
+        with waiting(f"preparing {Path(self.object).name}") as tell:
+            ready = prepare_in_time(wanted, timeout_s=self.time_limit - (time.perf_counter() - begin), on_wait=tell)
+        if ready is None:
+            print(
+                f"no grasp: preparing {self.object} took more than --time-limit {self.time_limit:g} s; give it more "
+                "time, or a simpler mesh"
+            )
+            return 1
+        if ready.scene is not None:
+            tell_repairs(ready.scene.object)
+        if ready.obstacle or ready.scene is None:
+            print(f"{hand.name} cannot hold {Path(self.object).stem}: {ready.obstacle}")
+            return 1
+        scene = ready.scene
+        model = scene.object
         from xdex_drake.dataset.files import save_grasps
         from xdex_drake.grasping.tally import Tally, counted
         from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
-        from xdex_drake.programs.obstacles import find_obstacles, sizes
-        from xdex_drake.programs.search import SearchSettings
+        from xdex_drake.programs.obstacles import sizes
+        from xdex_drake.programs.search import SearchSettings, places_in
         from xdex_drake.programs.terms import FIRM
         from xdex_drake.scene.facts import SceneFacts
-        from xdex_drake.scene.tabletop import make_scene, pose_of
 
-        search = SearchSettings(terms=FIRM, contacts=self.contacts, grasp_type=self.grasp_type, approach=self.approach)
-        model.grid  # noqa: B018 - computed once, here, and read from the cache by the workers
-        chosen = self.pose is not None or self.upright
-        pose = pose_of(model, number=self.pose, upright=self.upright) if chosen else None
-        scene = make_scene(model, seed=self.scene_seed, pose=pose)
-        obstacles = find_obstacles(hand, scene, contacts=self.contacts, grasp_type=self.grasp_type)
-        if obstacles:
-            print(f"{hand.name} cannot hold {model.name}: {obstacles[0].message}")
-            return 1
+        search = SearchSettings(
+            terms=FIRM,
+            contacts=self.contacts,
+            grasp_type=self.grasp_type,
+            approach=self.approach,
+            region=region,
+        )
+        if region is not None:
+            places_in(scene, region)
         preparation = time.perf_counter() - begin
         request = GraspRequest(self.hand, SceneFacts.of(scene), self.seed, search=search)
         tally, batches_done = Tally(), 0
@@ -130,7 +176,11 @@ class GraspCommand:
         workers = 1 if self.count <= 2 else self.workers
         with keeping_finished_work() as interruption, progress(self.count, f"{hand.name} {model.name}") as bar:
             batches = synthesize_batches(
-                request, count=self.count, workers=workers, time_limit_s=self.time_limit, tally=tally
+                request,
+                count=self.count,
+                workers=workers,
+                time_limit_s=max(0.0, self.time_limit - preparation),
+                tally=tally,
             )
             for batch in batches:
                 for grasp in batch.grasps:
@@ -226,7 +276,7 @@ class Retarget:
         if not self.to:
             raise ConfigError("--to names no hand; give at least one")
         targets = {target: load_hand(target) for target in self.to}
-        from xdex_drake.dataset.files import hand_paths_entry
+        from xdex_drake.dataset.files import hand_paths_entry, surroundings_entry
         from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.rows import rows_of
         from xdex_drake.grasping.tally import Tally
@@ -253,7 +303,8 @@ class Retarget:
                     rows += rows_of([grasp], targets[unit.target], item.scene, source_points=points)
         if rows:
             files = {hand.name: target for target, hand in targets.items() if Path(target).suffix}
-            write_grasps(self.out, rows, metadata=hand_paths_entry(files))
+            around = surroundings_entry(item.facts for item in stored)
+            write_grasps(self.out, rows, metadata=hand_paths_entry(files) | around)
         lines = [(target, *t.row(), t.seconds / max(1, t.certified)) for target, t in tallies.items()]
         print(table(lines, ("hand", "tried", "certified", "lifted", "rejected by", "failed by", "s a grasp")))
         print(f"{len(rows)} of {len(units)} written to {self.out}" if rows else "nothing written")
@@ -289,7 +340,8 @@ class LiftCommand:
         file: A file of grasps with pre-grasp and squeeze.
         simulator: Drake where not given; mujoco needs `pip install 'xdex_drake[mujoco]'`. May be given twice.
         protocol: Name of the protocol: lift-0.2/2tips, hold, frogger-lift, bench-lift or lift-0.5-like; without weight
-            bench-fc, push-6-weak, grav-6-all, grav-6-any or shake-6-like.
+            bench-fc, push-6-weak, grav-6-all, grav-6-any or shake-6-like; release for objects that float. Where not
+            given the first, and for those that float the last.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         out: The file with the new verdicts.
         workers: Number of processes that work; one that crashes costs the lift it works on, which counts as failed.
@@ -297,7 +349,7 @@ class LiftCommand:
 
     file: tyro.conf.Positional[Path]
     simulator: tyro.conf.UseAppendAction[tuple[Literal["drake", "mujoco"], ...]] = ()
-    protocol: str = "lift-0.2/2tips"
+    protocol: str = ""
     robust: int = 0
     out: Path = Path("grasps_lifted.parquet")
     workers: int = 2
@@ -306,15 +358,15 @@ class LiftCommand:
         """Lifts, writes, prints a line a hand and object."""
         one_thread()
         check_output_file(self.out, ".parquet")
-        from xdex_drake.dataset.files import hand_paths, hand_paths_entry
+        from xdex_drake.dataset.files import hand_paths, hand_paths_entry, surroundings_entry
         from xdex_drake.dataset.grasp_file import write_grasps
         from xdex_drake.dataset.schema import lift_columns
         from xdex_drake.errors import ConfigError
         from xdex_drake.jobs.stored import lift_all, lift_units
         from xdex_drake.simulation.mujoco import mujoco_module
-        from xdex_drake.simulation.protocol import LiftProtocol, find_protocol
+        from xdex_drake.simulation.protocol import LIFT, LiftProtocol, find_protocol
 
-        protocol = find_protocol(self.protocol)
+        protocol = find_protocol(self.protocol) if self.protocol else LIFT
         if self.robust < 0:
             raise ConfigError(f"--robust is {self.robust}; give 0 or more")
         if self.robust and not isinstance(protocol, LiftProtocol):
@@ -335,7 +387,8 @@ class LiftCommand:
         first = verdicts[simulators[0]]
         rows = [stored[k].row | lift_columns(first[k]) for k in sorted(first)]
         if rows:
-            write_grasps(self.out, rows, metadata=hand_paths_entry(hand_paths(self.file)))
+            around = surroundings_entry(item.facts for item in stored)
+            write_grasps(self.out, rows, metadata=hand_paths_entry(hand_paths(self.file)) | around)
         lines = [line for simulator in simulators for line in _lift_lines(stored, simulator, verdicts[simulator])]
         header = ("hand", "object", "simulator", "grasps", "lifted", "held", "as before", "failed by", "dropped by")
         if protocol.hold is None:  # Nothing is held then but what is lifted.

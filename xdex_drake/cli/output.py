@@ -4,7 +4,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 SECONDS_A_LINE = 5.0
 """Least time between two lines of progress where there is no terminal [s]."""
+
+FIRST_WORD_S = 1.5
+"""Time after which it is said what takes long [s]."""
 
 
 def table(rows: Sequence[Sequence[object]], header: Sequence[str] = ()) -> str:
@@ -93,6 +96,35 @@ def progress(total: int | None, what: str) -> tqdm:
     if not sys.stderr.isatty():
         return Lines(total=total, desc=what, smoothing=0.1)
     return tqdm(total=total, desc=what, dynamic_ncols=True, smoothing=0.1, mininterval=0.2)
+
+
+@contextmanager
+def waiting(what: str) -> Iterator[Callable[[float], None]]:
+    """Says on standard error what takes long, and for how long already.
+
+    Args:
+        what: What is done, in words.
+
+    Yields:
+        A function to be called again and again meanwhile, with the seconds so far: on a terminal it writes one line
+        anew, elsewhere a line after a second and a half and then one in `SECONDS_A_LINE`.
+    """
+    terminal, due = sys.stderr.isatty(), FIRST_WORD_S
+    said = False
+
+    def tell(seconds: float) -> None:
+        nonlocal due, said
+        if seconds < due:
+            return
+        due, said = (0.0 if terminal else seconds + SECONDS_A_LINE), True
+        line = f"xdex: {what}, {seconds:.0f} s"
+        print(f"\r{line}" if terminal else line, end="" if terminal else "\n", file=sys.stderr, flush=True)
+
+    try:
+        yield tell
+    finally:
+        if said and terminal:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 @dataclass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from xdex_drake.dataset.assets import asset, dataset_of, mesh_path
@@ -17,11 +17,23 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.generation import read_hand_name
 from xdex_drake.hand.library import list_hands, load_hand
 from xdex_drake.hand.yaml_file import hand_digest
-from xdex_drake.scene.facts import SceneFacts
+from xdex_drake.scene.facts import FixtureFacts, SceneFacts
 from xdex_drake.scene.tabletop import Scene
+from xdex_drake.typed_yaml import from_plain, to_plain
+
+SCENES = "xdex_scenes"
+"""Entry of a file's metadata: table and obstacles of each scene where these are not the usual ones."""
 
 HAND_PATHS = "xdex_hand_paths"
 """Entry of a file's metadata: where the description of each hand lies that the library does not have."""
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """What is not usual about a scene; see `SceneFacts`."""
+
+    table: float | None = 0.0
+    obstacles: tuple[FixtureFacts, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +73,8 @@ def save_grasps(
         GraspFileError: The file cannot be written.
     """
     paths = {} if hand_path is None else {hand.name: str(hand_path)}
-    write_grasps(path, rows_of(grasps, hand, scene), metadata=hand_paths_entry(paths))
+    metadata = hand_paths_entry(paths) | surroundings_entry([SceneFacts.of(scene)])
+    write_grasps(path, rows_of(grasps, hand, scene), metadata=metadata)
 
 
 def hand_paths_entry(paths: Mapping[str, str]) -> dict[str, str]:
@@ -80,6 +93,41 @@ def hand_paths_entry(paths: Mapping[str, str]) -> dict[str, str]:
         if name not in known and read_hand_name(str(path)) is None
     }
     return {HAND_PATHS: json.dumps(resolved, sort_keys=True)} if resolved else {}
+
+
+def surroundings_entry(scenes: Iterable[SceneFacts]) -> dict[str, str]:
+    """The metadata entry that says what is not usual about scenes: no table, one of another height, obstacles.
+
+    Args:
+        scenes: The scenes of a file.
+
+    Returns:
+        The entry, empty where all lie on the usual table with nothing beside.
+    """
+    unusual = {
+        facts.scene_id: {
+            "table": facts.table,
+            "obstacles": [to_plain(_findable(obstacle)) for obstacle in facts.obstacles],
+        }
+        for facts in scenes
+        if facts.table != 0.0 or facts.obstacles
+    }
+    return {SCENES: json.dumps(unusual, sort_keys=True)} if unusual else {}
+
+
+def _findable(obstacle: FixtureFacts) -> FixtureFacts:
+    """The obstacle with its file, if it has one, found from any folder."""
+    path = Path(obstacle.object_path)
+    return replace(obstacle, object_path=str(path.resolve())) if path.is_file() else obstacle
+
+
+def _surroundings(path: str | Path) -> dict[str, _Surroundings]:
+    """What a file says of its unusual scenes, by their identifiers."""
+    try:
+        kept = json.loads(read_metadata(path).get(SCENES, "{}"))
+        return {name: from_plain(values, _Surroundings, str(path), field=name) for name, values in kept.items()}
+    except (ValueError, AttributeError, XdexError) as error:
+        raise GraspFileError(f"{path}: what it says of its scenes cannot be read: {error}") from None
 
 
 def hand_paths(path: str | Path) -> dict[str, str]:
@@ -126,7 +174,7 @@ def load_grasps(path: str | Path) -> list[StoredGrasp]:
     Raises:
         GraspFileError: The file is missing or damaged, or names a hand or a mesh that has changed or cannot be found.
     """
-    paths = hand_paths(path)
+    paths, around = hand_paths(path), _surroundings(path)
     hands: dict[str, Hand] = {}
     scenes: dict[SceneFacts, Scene] = {}
     stored = []
@@ -140,6 +188,8 @@ def load_grasps(path: str | Path) -> list[StoredGrasp]:
             if hand_digest(hands[name]) != row["hand_digest"]:
                 raise GraspFileError(f"{path}: hand {name} is not the one it was made with; restore its description")
         key = scene_facts(row, Path(path))
+        if key.scene_id in around:
+            key = replace(key, **vars(around[key.scene_id]))
         if key not in scenes:
             scenes[key] = key.build()
         found = row | {"object_path": key.object_path}

@@ -33,7 +33,7 @@ class Approach:
 def straight_approach(
     hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, *, length: float = 0.1, clearance: float = 2e-3
 ) -> Approach | None:
-    """Finds a straight way to a pre-grasp, clear of object and table.
+    """Finds a straight way to a pre-grasp, clear of object, table and obstacles.
 
     Tried are the directions against the palm's normal, against the fingers, up, and those half way between them. Gaps
     are taken from the object's grid of distances, in steps of 5 mm: two milliseconds where the first direction is
@@ -56,7 +56,7 @@ def straight_approach(
     radii = hand.spheres[:, 3]
     p_OSs = (scene.X_WO.inverse() @ start.centers_W.T).T
     R_OW = scene.X_WO.rotation().matrix().T
-    lowest = float((start.centers_W[:, 2] - radii).min())
+    lowest = float(start.heights.min())
     floor = min(lowest, 0.0)
     grid, steps = scene.object.grid, np.linspace(0.0, length, max(2, round(length / 5e-3) + 1))
     for direction in (away, away + up, up, away + back, back + up, back, away + back + up):
@@ -68,6 +68,13 @@ def straight_approach(
             continue
         centers = p_OSs[None] + steps[:, None, None] * (R_OW @ unit)
         gaps = grid.lower_bounds(centers.reshape(-1, 3)).reshape(len(steps), -1) - radii
-        if (least := float(gaps.min())) >= clearance:
+        if (least := float(gaps.min())) >= clearance and _is_clear(scene, start.centers_W, radii, steps, unit):
             return Approach(unit, least, height)
     return None
+
+
+def _is_clear(scene: Scene, centers_W: Array, radii: Array, steps: Array, unit: Array) -> bool:
+    """Whether spheres that move along a direction stay out of all obstacles."""
+    way = (centers_W[None] + steps[:, None, None] * unit).reshape(-1, 3)
+    gaps = (fixture.lower_bounds(way).reshape(len(steps), -1) - radii for fixture in scene.obstacles)
+    return all(float(gap.min()) >= 0.0 for gap in gaps)

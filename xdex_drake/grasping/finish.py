@@ -29,6 +29,7 @@ from xdex_drake.hand.kinematics import Configuration
 from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.solve import solve
+from xdex_drake.programs.terms.surroundings import obstacle_gap
 from xdex_drake.scene.distance import sample_surface
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.tabletop import Scene
@@ -213,14 +214,18 @@ def prepared(
     depth_parts, depth_mesh = penetrations(hand, k, scene)
     if max(depth_parts, depth_mesh) > demands.penetration_m:
         return Outcome(None, Rejection(Reason.PENETRATION))
-    if lowest_height(hand, k) < demands.table_m:
+    if lowest_height(hand, k) - scene.floor < demands.table_m:
         return Outcome(None, Rejection(Reason.CONSTRAINT, "table"))
+    if obstacle_gap(k, scene) < 0.0:
+        return Outcome(None, Rejection(Reason.CONSTRAINT, "obstacle"))
     opened = pregrasp(hand, scene, k.X_WH, k.q)
     open_k, surface = Configuration.at(hand, opened.X_WH, opened.q), np.concatenate(_surface_points(scene.object))
     if not clear(hand, open_k, (scene.X_WO @ surface.T).T, PREGRASP_GAP):
         return Outcome(None, Rejection(Reason.PREGRASP))
-    if lowest_height(hand, open_k) < demands.table_m:
+    if lowest_height(hand, open_k) - scene.floor < demands.table_m:
         return Outcome(None, Rejection(Reason.PREGRASP, "table"))
+    if obstacle_gap(open_k, scene) < 0.0:
+        return Outcome(None, Rejection(Reason.PREGRASP, "obstacle"))
     if straight_approach(hand, scene, opened.X_WH, opened.q) is None:
         return Outcome(None, Rejection(Reason.APPROACH))
     squeeze = holding.squeeze

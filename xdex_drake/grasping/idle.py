@@ -107,11 +107,13 @@ def _program(hand: Hand, scene: Scene, k: Configuration, joints: NDArray[np.bool
     near, gaps, _ = start.object_distances
     known = np.full(len(hand.spheres), np.inf)
     known[near] = gaps
-    heights = start.centers_W[moved, 2] - hand.spheres[moved, 3]
+    heights = start.heights[moved]
+    low = moved if scene.table is not None else moved[:0]
     pairs = sphere_pairs(hand)
     blocks = (
         constraints.object_block(moved, np.minimum(CLEARANCE, known[moved])),
-        constraints.table_block(moved, min(2e-3, float(heights.min(initial=np.inf)))),
+        constraints.table_block(low, min(2e-3, float(heights.min(initial=np.inf)))),
+        *constraints.obstacle_blocks(start, 0.0, spheres=moved),
         constraints.self_block(pairs[np.isin(pairs, moved).any(1)], 1e-3),
     )
     costs = (

@@ -54,10 +54,10 @@ def pregrasp_program(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, c
     """
     start = Point(Configuration.at(hand, X_WH, q), scene, NO_CONTACTS, np.zeros((0, 3)))
     near, gaps, _ = start.object_distances
-    heights = start.centers_W[:, 2] - hand.spheres[:, 3]
     blocks = (
         constraints.object_block(near[gaps < 0.04], np.full(int((gaps < 0.04).sum()), clearance)),
-        constraints.table_block(np.flatnonzero(heights < 0.05), 2e-3),
+        constraints.table_block(np.flatnonzero(start.heights < 0.05), 2e-3),
+        *constraints.obstacle_blocks(start, 2e-3),
         constraints.self_block(near_self_pairs(hand, start.k), 1e-3),
         constraints.limit_block(hand.limits),
     )

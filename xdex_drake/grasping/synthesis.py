@@ -10,16 +10,18 @@ import numpy as np
 
 from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp
-from xdex_drake.grasping.finish import GIVEN, SEARCHED, Demands, finish
+from xdex_drake.grasping.finish import GIVEN, SEARCHED, Demands, Outcome, finish
 from xdex_drake.grasping.proposers import Search
+from xdex_drake.grasping.reasons import Reason, Rejection
 from xdex_drake.grasping.tally import Tally
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.search import SearchSettings
 from xdex_drake.programs.terms import FIRM
+from xdex_drake.programs.terms.region import lies_in
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.drake import LiftRig, lift_rig, simulate_lift
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+from xdex_drake.simulation.protocol import LiftProtocol
 
 LENIENT_EVERY = 3
 """One batch in so many is lenient; see `settings_of_batch`."""
@@ -53,7 +55,7 @@ class SynthesisSettings:
 
 
 def candidates_of_batch(
-    hand: Hand, scene: Scene, *, seed: int, settings: SynthesisSettings, tally: Tally
+    hand: Hand, scene: Scene, *, seed: int, settings: SynthesisSettings, tally: Tally, until: float = float("inf")
 ) -> Iterator[Grasp]:
     """Certified grasps of one batch: a search whose best candidates are polished and certified.
 
@@ -63,15 +65,19 @@ def candidates_of_batch(
         seed: Seed of the search.
         settings: Settings.
         tally: Counts to add to.
+        until: Time of `time.perf_counter` after which no further candidate is begun [s].
 
     Yields:
         Certified grasps, not yet lifted; their time includes their share of the search.
     """
     hits: list[bool] = []
     for candidate in Search(settings.search, settings.polish)(hand, scene, settings.batch, seed):
-        if not worth_going_on(hits, settings.batch):
+        if not worth_going_on(hits, settings.batch) or time.perf_counter() > until:
             return
         outcome = finish(candidate, solver=settings.solver, demands=settings.demands)
+        region = settings.search.region
+        if region is not None and outcome.grasp is not None and not lies_in(outcome.grasp, region):
+            outcome = Outcome(None, Rejection(Reason.CONSTRAINT, "region"))
         tally.add(outcome)
         hits.append(outcome.grasp is not None)
         if outcome.grasp is not None:
@@ -113,7 +119,7 @@ def certified_grasps(
         hand: The hand.
         scene: The scene.
         seed: Seed.
-        time_limit_s: Wall time after which no further batch is begun [s].
+        time_limit_s: Wall time after which no further candidate is begun [s].
         settings: Settings; the defaults where None.
         tally: Counts to add to.
 
@@ -126,7 +132,12 @@ def certified_grasps(
     batch = 0
     while time.perf_counter() - start < time_limit_s:
         grasps = candidates_of_batch(
-            hand, scene, seed=batch_seed(seed, batch), settings=settings_of_batch(settings, batch), tally=tally
+            hand,
+            scene,
+            seed=batch_seed(seed, batch),
+            settings=settings_of_batch(settings, batch),
+            tally=tally,
+            until=start + time_limit_s,
         )
         for grasp in grasps:
             yield named(grasp, scene, seed, batch)
@@ -188,7 +199,7 @@ def synthesize(
     seed: int = 0,
     time_limit_s: float = 120.0,
     settings: SynthesisSettings | None = None,
-    protocol: LiftProtocol = LIFT,
+    protocol: LiftProtocol | None = None,
     tally: Tally | None = None,
 ) -> Iterator[Grasp]:
     """Grasps that are certified and lifted.
@@ -200,7 +211,7 @@ def synthesize(
         seed: Seed.
         time_limit_s: Wall time after which what was found is all there is [s].
         settings: Settings; the defaults where None.
-        protocol: Lift protocol.
+        protocol: Lift protocol; where None `LIFT`, or `RELEASE` in a scene without a table.
         tally: Counts to add to.
 
     Yields:

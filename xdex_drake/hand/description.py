@@ -7,6 +7,7 @@ moves with it: X_PL(q) = X_PJ * exp(axis * q). Links that are rigidly attached i
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 from xdex_drake.arrays import Array
 from xdex_drake.hand.shapes import Box, Capsule, Convex, Geometry, Sphere
 from xdex_drake.hand.surface import Surface
+
+if TYPE_CHECKING:
+    from pydrake.math import RigidTransform
 
 __all__ = [
     "Array",
@@ -142,6 +146,13 @@ class Hand:
     q_rest: Array
     sources: dict[str, str]
     ignored_contacts: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def X_HB(self) -> "RigidTransform":
+        """Pose of the base link in the wrist frame, as Drake has it: welds a hand to a frame of one's own."""
+        from pydrake.math import RigidTransform, RotationMatrix
+
+        return RigidTransform(RotationMatrix(self.R_HB), self.p_HB)
 
     def __repr__(self) -> str:
         """One line."""

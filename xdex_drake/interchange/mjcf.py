@@ -23,7 +23,7 @@ from xdex_drake.hand.description import Box, Capsule, Convex, Geometry, Hand, Jo
 from xdex_drake.hand.looks import link_colors
 from xdex_drake.hand.plant import JOINT_DAMPING
 from xdex_drake.interchange.parts import ModelFile, file_name, hull_obj, marked_frames, number, numbers
-from xdex_drake.scene.bodies import TABLE_COLOR, visual_obj
+from xdex_drake.scene.bodies import FIXTURE_COLOR, TABLE_COLOR, visual_obj
 from xdex_drake.scene.materials import object_color
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.plant import CARRIAGE_MASS, CARRIAGE_RADIUS, PlantSettings
@@ -150,6 +150,7 @@ def scene_mjcf(
     model.add_surroundings(scene, plant)
     mount = model.add_carriage(hand, plant, X_WH or RigidTransform())
     model.add_hand(mount, hand, plant)
+    model.add_obstacles(hand, scene)
     model.add_object(hand, scene.object, plant, scene.X_WO)
     if keyframes:
         model.add_keyframes(hand, scene.X_WO, keyframes)
@@ -175,6 +176,11 @@ def object_mjcf(thing: ObjectModel, *, plant: PlantSettings | None = None, setti
 def body_name(link: Link) -> str:
     """Name of a link's body; `world` is taken by MuJoCo."""
     return link.name if link.name != "world" else "world_link"
+
+
+def obstacle_name(index: int, hand: Hand) -> str:
+    """Name of the body of an obstacle of a scene."""
+    return _unused(f"obstacle_{index}", hand)
 
 
 def _unused(name: str, hand: Hand | None) -> str:
@@ -236,9 +242,26 @@ class _Model:
         self.root.insert(2, Element("statistic", view))
         SubElement(self.world, "light", {"pos": "0 0 2", "dir": "0 0 -1"})
         solref, solimp = self.soft
-        table = {"name": "table", "type": "plane", "size": "1 1 0.1", "rgba": numbers(np.array(TABLE_COLOR))}
         friction = {"condim": "3", "friction": number(plant.friction)}
-        SubElement(self.world, "geom", {**table, **friction, "solref": solref, "solimp": solimp})
+        if scene.table is not None:
+            table = {"name": "table", "type": "plane", "size": "1 1 0.1", "rgba": numbers(np.array(TABLE_COLOR))}
+            if scene.table != 0.0:
+                table["pos"] = numbers(np.array([0.0, 0.0, scene.table]))
+            SubElement(self.world, "geom", {**table, **friction, "solref": solref, "solimp": solimp})
+
+    def add_obstacles(self, hand: Hand, scene: Scene) -> None:
+        """Adds what is fixed in the world beside the object, a body each."""
+        solref, solimp = self.soft
+        for index, fixture in enumerate(scene.obstacles):
+            X_WF, thing = fixture.X_WF, fixture.object
+            pose = {"pos": numbers(X_WF.translation()), "quat": _quaternion(X_WF.rotation().matrix())}
+            body = SubElement(self.world, "body", {"name": obstacle_name(index, hand), **pose})
+            label = file_name(f"{thing.name}-{thing.digest[:8]}-{index}")
+            surface = {"type": "mesh", "condim": "3", "friction": number(thing.friction)}
+            for k, (vertices, _) in enumerate(thing.parts):
+                mesh = self.add_mesh(f"{label}_part_{k}", hull_obj(vertices))
+                looks = {"mesh": mesh, "rgba": numbers(np.array(FIXTURE_COLOR))}
+                SubElement(body, "geom", {**looks, **surface, "solref": solref, "solimp": solimp})
 
     def add_carriage(self, hand: Hand, plant: PlantSettings, X_WH: RigidTransform) -> Element:
         """Adds the three driven slides that carry the wrist; returns the body whose frame is H."""

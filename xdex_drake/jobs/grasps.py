@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import count as count_from
 from typing import TYPE_CHECKING
 
+from xdex_drake.jobs.deadline import ending_at
 from xdex_drake.jobs.ordered import in_order
 from xdex_drake.jobs.workbench import hand_of, rig_of, scene_of, use_one_thread
 from xdex_drake.scene.facts import SceneFacts
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
     from xdex_drake.grasp import Grasp
     from xdex_drake.grasping.proposers import Proposer
     from xdex_drake.grasping.tally import Tally
+    from xdex_drake.hand.description import Hand
     from xdex_drake.programs.search import SearchSettings
+    from xdex_drake.scene.tabletop import Scene
+    from xdex_drake.simulation.drake import LiftRig
 
 _log = logging.getLogger(__name__)
 
@@ -32,6 +36,9 @@ QUOTA = 10
 
 DRAWS = 16
 """Proposals of a batch of `propose_batches`."""
+
+PATIENCE_S = 1.0
+"""Time after the limit in which batches end by themselves and tell what they found, before their processes are [s]."""
 
 PATIENCE = 3
 """Batches in a row that may crash or run out of time before a run is given up."""
@@ -95,8 +102,24 @@ def run_batch(unit: BatchUnit) -> BatchResult:
         unit: The batch.
 
     Returns:
-        What came of it; it depends on the unit alone, as long as the deadline is not met.
+        What came of it, up to the deadline; it depends on the unit alone, as long as that is not met.
     """
+    from xdex_drake.grasping.tally import Tally
+
+    use_one_thread()
+    begin, grasps, tally = time.perf_counter(), list["Grasp"](), Tally()
+    prepared = begin
+    with ending_at(unit.deadline):
+        request = unit.request
+        hand, scene, rig = hand_of(request.hand), scene_of(request.scene), rig_of(request.hand, request.scene)
+        prepared = time.perf_counter()
+        _fill(grasps, tally, unit, hand, scene, rig)
+    tally.seconds = time.perf_counter() - prepared
+    return BatchResult(tuple(grasps), tally, prepared - begin)
+
+
+def _fill(grasps: list[Grasp], tally: Tally, unit: BatchUnit, hand: Hand, scene: Scene, rig: LiftRig) -> None:
+    """Adds the grasps of a batch, with their lifts, until its quota is met."""
     from xdex_drake.grasping.synthesis import (
         SynthesisSettings,
         batch_seed,
@@ -105,24 +128,16 @@ def run_batch(unit: BatchUnit) -> BatchResult:
         named,
         settings_of_batch,
     )
-    from xdex_drake.grasping.tally import Tally
 
-    use_one_thread()
-    request, begin = unit.request, time.perf_counter()
-    hand, scene, rig = hand_of(request.hand), scene_of(request.scene), rig_of(request.hand, request.scene)
-    prepared = time.perf_counter()
+    request = unit.request
     asked = SynthesisSettings(solver=request.solver)
     asked = asked if request.search is None else replace(asked, search=request.search)
     settings = settings_of_batch(asked, unit.batch)
-    tally = Tally()
     found = candidates_of_batch(hand, scene, seed=batch_seed(request.seed, unit.batch), settings=settings, tally=tally)
-    grasps: list[Grasp] = []
     for grasp in lift_all(rig, found, tally):
         grasps.append(named(grasp, scene, request.seed, unit.batch))
-        if tally.lifted >= unit.quota or time.time() > unit.deadline:
-            break
-    tally.seconds = time.perf_counter() - prepared
-    return BatchResult(tuple(grasps), tally, prepared - begin)
+        if tally.lifted >= unit.quota:
+            return
 
 
 def synthesize_batches(
@@ -159,8 +174,12 @@ def synthesize_batches(
     units = (BatchUnit(request, batch, quota, deadline) for batch in count_from())
     lost = 0
     timeout_s = max(60.0, 2.0 * time_limit_s)
-    with closing(in_order(units, run_batch, workers=workers, timeout_s=timeout_s)) as results:  # type: ignore[type-var]
+    until = time.monotonic() + time_limit_s + PATIENCE_S
+    batches = in_order(units, run_batch, workers=workers, timeout_s=timeout_s, until=until)
+    with closing(batches) as results:  # type: ignore[type-var]
         for done in results:
+            if done.value is None and time.time() > deadline:
+                return
             if done.value is None:
                 _log.warning("batch %d: %s", done.unit.batch, done.failure)
                 tally.lost.append(str(done.failure))

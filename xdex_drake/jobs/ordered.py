@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -14,7 +15,12 @@ Value = TypeVar("Value")
 
 
 def in_order(
-    units: Iterable[Unit], work: Callable[[Unit], Value], *, workers: int, timeout_s: float = 300.0
+    units: Iterable[Unit],
+    work: Callable[[Unit], Value],
+    *,
+    workers: int,
+    timeout_s: float = 300.0,
+    until: float = math.inf,
 ) -> Iterator[UnitResult[Unit, Value]]:
     """Runs work on each unit and gives the results in the order of the units.
 
@@ -23,6 +29,7 @@ def in_order(
         work: A function at the top level of a module.
         workers: Number of processes; 0 works in this one, where a crash ends everything.
         timeout_s: Longest wall time of a unit [s].
+        until: Time of `time.monotonic` at which units that are under way are given up [s].
 
     Yields:
         What became of each unit; one that crashed its process or took too long has a failure and no value.
@@ -33,7 +40,8 @@ def in_order(
     """
     waiting: dict[int, UnitResult[Any, Value]] = {}
     position = 0
-    with closing(run_units(enumerate(units), _Numbered(work), workers=workers, timeout_s=timeout_s)) as results:  # type: ignore[type-var]
+    numbered = run_units(enumerate(units), _Numbered(work), workers=workers, timeout_s=timeout_s, until=until)
+    with closing(numbered) as results:  # type: ignore[type-var]
         for done in results:
             waiting[done.unit[0]] = done
             while (ready := waiting.pop(position, None)) is not None:

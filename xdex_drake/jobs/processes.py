@@ -9,6 +9,7 @@ imported the library and does nothing else.
 """
 
 import gc
+import math
 import multiprocessing as mp
 import os
 import pickle
@@ -99,6 +100,7 @@ def run_units(
     workers: int,
     on_done: Callable[[UnitResult[Unit, Value]], None] | None = None,
     timeout_s: float | None = None,
+    until: float = math.inf,
     units_per_process: int = 50,
 ) -> Iterator[UnitResult[Unit, Value]]:
     """Runs work on each unit, in child processes, and yields the results in the order in which they come.
@@ -115,6 +117,7 @@ def run_units(
         workers: Number of processes; 0 runs in the caller's process, without protection and without `timeout_s`.
         on_done: Called in the caller's process with each result before it is yielded: the place to save it.
         timeout_s: Longest wall time of a unit [s].
+        until: Time of `time.monotonic` at which units that are under way are given up, too [s].
         units_per_process: Number of units after which a process is replaced, which bounds its memory.
 
     Yields:
@@ -133,7 +136,51 @@ def run_units(
     save = on_done or _ignore
     if workers == 0:
         return _run_here(units, work, save)
-    return _run_in_processes(units, work, workers, save, timeout_s, units_per_process)
+    return _run_in_processes(units, work, workers, save, _Limits(timeout_s, until), units_per_process)
+
+
+def run_apart(
+    work: Callable[[Unit], Value],
+    unit: Unit,
+    *,
+    timeout_s: float = math.inf,
+    on_wait: Callable[[float], None] | None = None,
+    wait_s: float = 0.5,
+) -> UnitResult[Unit, Value]:
+    """Runs work on one unit in a child process, which is killed where it takes too long, native code or not.
+
+    Args:
+        work: A function at the top level of a module.
+        unit: The unit.
+        timeout_s: Longest wall time, the start of the process included [s].
+        on_wait: Called again and again while the work goes on, with the seconds so far.
+        wait_s: Time between two such calls [s].
+
+    Returns:
+        What became of it.
+
+    Raises:
+        RuntimeError: The process ends before it begins.
+    """
+    begin = time.monotonic()
+    limits = _Limits(None, begin + timeout_s)
+    worker, waiting = _start(work, 1), [unit]
+    try:
+        while True:
+            if worker.is_ready and waiting:
+                _give(worker, waiting)
+            if not wait([worker.connection], max(0.0, min(wait_s, limits.until - time.monotonic()))):
+                if time.monotonic() < limits.until:
+                    if on_wait is not None:
+                        on_wait(time.monotonic() - begin)
+                    continue
+                worker.units, worker.begin = [unit], begin
+            if (result := _collect(worker, limits)) is not None:
+                return result
+            if worker.connection.closed:
+                raise RuntimeError("the worker process ended before it began, as standard error says above")
+    finally:
+        _end(worker)
 
 
 def _ignore(result: UnitResult[Any, Any]) -> None:
@@ -176,6 +223,21 @@ def _raised(error: Exception) -> Failure:
 # The caller's side ----------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """When units are given up: after so many seconds each [s], and all of them at a time of `time.monotonic` [s]."""
+
+    timeout_s: float | None
+    until: float
+
+    def of(self, worker: "_Worker[Any]") -> float:
+        """When the unit of a worker is given up."""
+        return min(self.until, math.inf if self.timeout_s is None else worker.begin + self.timeout_s)
+
+    def __str__(self) -> str:
+        return "the time limit" if self.timeout_s is None else f"{self.timeout_s:g} s"
+
+
 @dataclass
 class _Worker(Generic[Unit]):
     """A child process, and what it is doing."""
@@ -193,7 +255,7 @@ def _run_in_processes(
     work: Callable[[Unit], Value],
     count: int,
     save: Callable[[UnitResult[Unit, Value]], None],
-    timeout_s: float | None,
+    limits: _Limits,
     units_per_process: int,
 ) -> Iterator[UnitResult[Unit, Value]]:
     """Runs the units in `count` processes."""
@@ -215,8 +277,8 @@ def _run_in_processes(
             if not waiting and not any(worker.units for worker in workers):
                 return
             results.clear()
-            for worker in _which_woke(workers, timeout_s):
-                result = _collect(worker, timeout_s)
+            for worker in _which_woke(workers, limits):
+                result = _collect(worker, limits)
                 if result is not None:
                     save(result)
                     results.append(result)
@@ -234,7 +296,7 @@ def _run_in_processes(
     except (KeyboardInterrupt, GeneratorExit):
         for worker in workers:
             if worker.units and not worker.connection.closed and worker.connection.poll():
-                result = _collect(worker, None)
+                result = _collect(worker, limits)
                 if result is not None:
                     save(result)
         raise
@@ -308,19 +370,19 @@ def _give(worker: _Worker[Unit], waiting: list[Unit]) -> None:
         worker.begin = time.monotonic()
 
 
-def _which_woke(workers: list[_Worker[Unit]], timeout_s: float | None) -> list[_Worker[Unit]]:
+def _which_woke(workers: list[_Worker[Unit]], limits: _Limits) -> list[_Worker[Unit]]:
     """Waits until some workers have something to say, have gone, or are out of time."""
-    now = time.monotonic()
-    deadlines = [worker.begin + timeout_s - now for worker in workers if worker.units and timeout_s is not None]
-    woke = wait([worker.connection for worker in workers], max(0.0, min(deadlines)) if deadlines else None)
-    return [worker for worker in workers if worker.connection in woke or _is_late(worker, timeout_s)]
+    first = min((limits.of(worker) for worker in workers if worker.units), default=math.inf)
+    left = max(0.0, first - time.monotonic())
+    woke = wait([worker.connection for worker in workers], None if math.isinf(left) else left)
+    return [worker for worker in workers if worker.connection in woke or _is_late(worker, limits)]
 
 
-def _is_late(worker: _Worker[Any], timeout_s: float | None) -> bool:
-    return timeout_s is not None and bool(worker.units) and time.monotonic() >= worker.begin + timeout_s
+def _is_late(worker: _Worker[Any], limits: _Limits) -> bool:
+    return bool(worker.units) and time.monotonic() >= limits.of(worker)
 
 
-def _collect(worker: _Worker[Unit], timeout_s: float | None) -> UnitResult[Unit, Any] | None:
+def _collect(worker: _Worker[Unit], limits: _Limits) -> UnitResult[Unit, Any] | None:
     """Takes what a worker has to say; None where that is no result.
 
     A worker that has crashed or is out of time is ended here, so that its exit status is known.
@@ -328,7 +390,7 @@ def _collect(worker: _Worker[Unit], timeout_s: float | None) -> UnitResult[Unit,
     try:
         if not worker.connection.poll():
             _end(worker)
-            return _give_up(worker, Failure(FailureKind.TIMEOUT, f"more than {timeout_s:g} s"))
+            return _give_up(worker, Failure(FailureKind.TIMEOUT, f"more than {limits}"))
         message = worker.connection.recv_bytes()
     except (EOFError, OSError):
         _end(worker, grace_s=_GRACE_S)

@@ -52,7 +52,7 @@ class LiftUnit:
         grasp: The grasp.
         scene: Its scene.
         hand: Name or path of its hand.
-        protocol: Name of the protocol.
+        protocol: Name of the protocol; empty for that of `usual_protocol`.
         robust: Number of errors of pose under which it is repeated; 0 for one lift as it is.
         simulator: One of `SIMULATORS`.
     """
@@ -61,7 +61,7 @@ class LiftUnit:
     grasp: Grasp
     scene: SceneFacts
     hand: str
-    protocol: str = "lift-0.2/2tips"
+    protocol: str = ""
     robust: int = 0
     simulator: str = "drake"
 
@@ -103,7 +103,7 @@ def retarget_all(units: Sequence[RetargetUnit], *, workers: int = 2) -> Iterator
 def lift_units(
     stored: Sequence[StoredGrasp],
     *,
-    protocol: str = "lift-0.2/2tips",
+    protocol: str = "",
     robust: int = 0,
     simulators: Sequence[str] = ("drake",),
 ) -> list[LiftUnit]:
@@ -111,7 +111,7 @@ def lift_units(
 
     Args:
         stored: Grasps of a file.
-        protocol: Name of the protocol.
+        protocol: Name of the protocol; empty for that of `usual_protocol`.
         robust: Number of errors of pose under which each lift is repeated; 0 for one lift as it is.
         simulators: Names of `SIMULATORS`.
 
@@ -174,10 +174,11 @@ def run_lift(unit: LiftUnit) -> Lift:
     Returns:
         The verdict.
     """
-    from xdex_drake.simulation.protocol import LiftProtocol, find_protocol
+    from xdex_drake.simulation.protocol import LiftProtocol, find_protocol, usual_protocol
     from xdex_drake.simulation.robust import RobustSettings, robust_lift
 
-    hand, scene, protocol = hand_of(unit.hand), scene_of(unit.scene), find_protocol(unit.protocol)
+    hand, scene = hand_of(unit.hand), scene_of(unit.scene)
+    protocol = find_protocol(unit.protocol) if unit.protocol else usual_protocol(scene)
     lift = importlib.import_module(SIMULATORS[unit.simulator]).lift
     if unit.robust and isinstance(protocol, LiftProtocol):
         settings = RobustSettings(repeats=unit.robust)
@@ -196,10 +197,12 @@ def lost_lift(unit: LiftUnit, failure: Failure) -> Lift:
         The verdict.
     """
     from xdex_drake.simulation.hold import NOT_LIFTED
-    from xdex_drake.simulation.protocol import find_protocol
+    from xdex_drake.simulation.protocol import LIFT, RELEASE, find_protocol
 
+    usual = LIFT if unit.scene.table is not None else RELEASE
+    protocol = find_protocol(unit.protocol) if unit.protocol else usual
     reason = "timeout" if failure.kind is FailureKind.TIMEOUT else "simulation_failed"
-    name = unit.protocol if unit.simulator == "drake" else f"{unit.simulator}:{unit.protocol}"
+    name = protocol.name if unit.simulator == "drake" else f"{unit.simulator}:{protocol.name}"
     name = f"robust:{name}" if unit.robust else name
-    hold = None if find_protocol(unit.protocol).hold is None else NOT_LIFTED
+    hold = None if protocol.hold is None else NOT_LIFTED
     return Lift(name, False, reason, float("nan"), (), 0.0, hold)

@@ -31,9 +31,8 @@ def scene_of(facts: SceneFacts) -> Scene:
 def rig_of(hand: str, facts: SceneFacts, protocol: LiftProtocol | None = None) -> LiftRig:
     """The lift rig of a hand and a scene; see `simulation.drake.shared_rig`."""
     from xdex_drake.simulation.drake import shared_rig
-    from xdex_drake.simulation.protocol import LIFT
 
-    return shared_rig(hand_of(hand), scene_of(facts), protocol=protocol or LIFT)
+    return shared_rig(hand_of(hand), scene_of(facts), protocol=protocol)
 
 
 def use_one_thread() -> None:

@@ -130,8 +130,7 @@ def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constrai
     others = np.setdiff1d(near[gaps < 0.03], contacts.spheres)
     # The rest of a touching link may come as near as its contact does.
     touching = np.isin(hand.sphere_links[others], contacts.links)
-    heights = start.centers_W[:, 2] - hand.spheres[:, 3]
-    low = np.flatnonzero(heights < 0.04)
+    low = np.flatnonzero(start.heights < 0.04)
     slots = contact_slots(hand)
     pads = np.array([slots[f].n_LPad for f in contacts.fingers])
     return (
@@ -142,8 +141,9 @@ def feasibility_blocks(start: Point, settings: PolishSettings) -> tuple[constrai
         ),
         replace(
             constraints.table_block(low, settings.table_clearance),
-            whole=lambda point: _short(point.centers_W[:, 2] - hand.spheres[:, 3], settings.table_clearance),
+            whole=lambda point: _short(point.heights, settings.table_clearance),
         ),
+        *constraints.obstacle_blocks(start, settings.clearance),
         replace(
             constraints.self_block(near_self_pairs(hand, start.k), settings.self_clearance),
             whole=lambda point: _short(_self_gaps(point), settings.self_clearance),
@@ -291,11 +291,22 @@ def wishes(settings: SearchSettings) -> tuple[Cost, ...]:
     return (spread_cost(settings.spread),) if settings.spread > 0.0 else ()
 
 
-def conditions(settings: SearchSettings) -> tuple[constraints.Block, ...]:
-    """Constraints of a polish whose search was asked for more than a grasp: the palm's direction is kept."""
-    if settings.approach is None:
-        return ()
-    return (constraints.approach_block(settings.approach, least=settings.approach_cosine),)
+def conditions(settings: SearchSettings, count: int) -> tuple[constraints.Block, ...]:
+    """Constraints of a polish whose search was asked for more than a grasp: palm's direction and region are kept.
+
+    Args:
+        settings: Settings of the search.
+        count: Number of contacts.
+
+    Returns:
+        The blocks.
+    """
+    blocks = []
+    if settings.approach is not None:
+        blocks.append(constraints.approach_block(settings.approach, least=settings.approach_cosine))
+    if settings.region is not None:
+        blocks.append(constraints.region_block(settings.region, count))
+    return tuple(blocks)
 
 
 def program_of_candidate(
@@ -330,5 +341,5 @@ def program_of_candidate(
         found.fingers[row],
         settings=settings,
         extra_costs=wishes(asked),
-        extra_constraints=conditions(asked),
+        extra_constraints=conditions(asked, int(found.fingers[row].sum())),
     )

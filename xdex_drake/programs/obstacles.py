@@ -21,6 +21,7 @@ from xdex_drake.hand.batched_kinematics import BatchedHand
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.force_closure import PolishSettings
 from xdex_drake.programs.grasp_types import GraspType, Slot, contact_slots
+from xdex_drake.scene.distance import sample_surface
 from xdex_drake.scene.tabletop import Scene
 
 SAMPLES = 1200
@@ -31,6 +32,9 @@ EDGES = 6
 
 UNBALANCED = 0.03
 """What samples may leave unbalanced of gravity, in units of the weight."""
+
+THICK = 1.25
+"""Thickness of an object, in openings of the hand, from which on it is not even looked at."""
 
 MM = 1e3
 
@@ -185,10 +189,11 @@ def find_obstacles(
     everywhere = _places(scene, radius)
     # What solvers may violate is in favour of the hand, too: two tenths of a millimetre.
     floor = radius + settings.table_clearance - 2e-4
-    places = everywhere.where(everywhere.centers[:, 2] >= floor)
+    places = everywhere.where(everywhere.centers[:, 2] - scene.floor >= floor)
     wrenches = _wrenches(places, scene, radius, mu)
     if not _holds(wrenches):
-        height = MM * float((obj.surface[0] @ scene.X_WO.rotation().matrix()[2] + scene.X_WO.translation()[2]).max())
+        tops = obj.surface[0] @ scene.X_WO.rotation().matrix()[2] + scene.X_WO.translation()[2]
+        height = MM * float(tops.max() - scene.floor)
         if not _holds(_wrenches(everywhere, scene, radius, mu)):
             text = f"friction of {obj.friction:g} is too low: nowhere do forces within the friction cones point up"
             return (Obstacle("friction", ("wrench", "cone"), text),)
@@ -216,6 +221,64 @@ def find_obstacles(
     return (Obstacle("opening", ("contact", "object", "wrench", "cone"), text),)
 
 
+def too_thick(hand: Hand, vertices: Array, faces: NDArray[np.int64]) -> Obstacle | None:
+    """Whether an object is far thicker than a hand opens, wherever fingers could pinch it; needs no convex parts.
+
+    The thickness at a point of the surface is the way straight through to the other side. No proof, unlike the other
+    checks: such an object could at best be balanced on fingertips from below.
+
+    Args:
+        hand: The hand.
+        vertices: Vertices of the object's mesh [m], shape (n, 3).
+        faces: Its triangles, outward, shape (m, 3).
+
+    Returns:
+        The obstacle, None where a pinch is not excluded.
+    """
+    fingers = contact_slots(hand)[:-1]
+    radius = float(min(hand.spheres[slot.spheres, 3].min() for slot in fingers if len(slot.spheres)))
+    opening = largest_opening(hand, fingers, radius=radius) - 2.0 * radius
+    thinnest = float(np.percentile(thicknesses(vertices, faces), 1.0))
+    if thinnest < THICK * max(opening, 0.0):
+        return None
+    text = (
+        f"the object is too large for the hand: it is {MM * thinnest:.0f} mm thick where it is thinnest, and two "
+        f"fingertips of {hand.name} come at most {MM * opening:.0f} mm apart"
+    )
+    return Obstacle("opening", ("contact", "object", "wrench", "cone"), text)
+
+
+def thicknesses(vertices: Array, faces: NDArray[np.int64], *, count: int = 300, seed: int = 0) -> Array:
+    """Thickness of a closed surface at random points: the way along the inward normal to where it comes out.
+
+    Args:
+        vertices: Vertices [m], shape (n, 3).
+        faces: Outward triangles, shape (m, 3).
+        count: Number of points.
+        seed: Seed of the points.
+
+    Returns:
+        Thicknesses [m], infinite where nothing is met, shape (count,).
+    """
+    points, start = sample_surface(vertices, faces, count, seed)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = cross(b - a, c - a)
+    inward = -normals[start] / np.maximum(np.linalg.norm(normals[start], axis=1, keepdims=True), 1e-30)
+    thin = np.full(count, np.inf)
+    for k, (p, d) in enumerate(zip(points, inward, strict=True)):
+        # Moeller and Trumbore (1997), all triangles at once.
+        height = cross(np.broadcast_to(d, c.shape), c - a)
+        volume = np.einsum("ij,ij->i", b - a, height)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.einsum("ij,ij->i", p - a, height) / volume
+            across = cross(p - a, b - a)
+            v = across @ d / volume
+            way = np.einsum("ij,ij->i", c - a, across) / volume
+        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 1e-6)
+        thin[k] = way[hit].min(initial=np.inf)
+    return thin
+
+
 def sizes(hand: Hand, scene: Scene) -> str:
     """The object's size as it lies and the hand's greatest opening, in one sentence."""
     fingers = contact_slots(hand)[:-1]
@@ -235,12 +298,14 @@ CONSTRAINT_WORDS = {
     "contact": "the fingers that shall touch do not all reach the object",
     "object": "the hand does not fit around the object without running into it",
     "table": "the hand does not fit between object and table",
+    "obstacle": "the hand does not fit beside what stands around the object",
     "self": "the hand's links run into each other",
     "limits": "joints would have to leave their limits",
     "pad": "fingers touch with their backs or sides, not with their pads",
     "wrench": "contact forces do not balance the object's weight",
     "cone": "friction is too low for the forces that would balance the object's weight",
     "palm direction": "the palm cannot come along the direction that was asked for",
+    "region": "contacts cannot lie in the part of the object that was asked for",
     "normal force": "contacts would have to press harder, or more lightly, than allowed",
 }
 """What it means that a constraint is left violated, for people."""

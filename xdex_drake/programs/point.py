@@ -78,6 +78,11 @@ class Point:
         hand = self.k.hand
         return self.k.points(hand.sphere_links, hand.spheres[:, :3])
 
+    @cached_property
+    def heights(self) -> Array:
+        """Gap of each sphere above the table, infinite where there is none [m], shape (n_spheres,)."""
+        return self.centers_W[:, 2] - self.k.hand.spheres[:, 3] - self.scene.floor
+
     def pull_back_spheres(self, spheres: NDArray[np.int64], v_Ws: Array) -> Array:
         """Derivatives of sphere centers along given directions.
 

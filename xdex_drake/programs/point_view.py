@@ -141,7 +141,7 @@ class PointView:
 
     @property
     def heights(self) -> Array:
-        return self.centers_W[:, 2]
+        return self.centers_W[:, 2] - self.point.scene.floor
 
     @property
     def between_W(self) -> Array:

@@ -116,7 +116,7 @@ class View(Protocol):
 
     @property
     def heights(self) -> Any:
-        """Height of each center above the table [m], shape (..., m)."""
+        """Height of each center above the table, infinite where there is none [m], shape (..., m)."""
         ...
 
     @property

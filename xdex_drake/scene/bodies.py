@@ -46,6 +46,7 @@ RESTING_FEET = 12
 """Greatest number of feet on the table."""
 
 TABLE_SIZE = (2.0, 2.0, 0.2)
+FIXTURE_COLOR = (0.36, 0.45, 0.56, 1.0)
 TABLE_COLOR = (0.55, 0.57, 0.6, 1.0)
 
 
@@ -110,6 +111,7 @@ def add_object(
     name: str = "object",
     point_stiffness: float = POINT_STIFFNESS,
     X_WO: RigidTransform | None = None,
+    stands: bool = True,
 ) -> RigidBody:
     """Adds an object as a free body whose frame is O: collision by its convex parts and feet, looks by its mesh.
 
@@ -119,6 +121,7 @@ def add_object(
         name: Name of the model instance and of the body, unique in the plant.
         point_stiffness: Contact stiffness [N/m].
         X_WO: Pose at which it rests on the table, which needs fewer feet; see `feet`.
+        stands: Whether it gets feet, to stand on a table; without one it needs none.
 
     Returns:
         The body. It touches a table that `add_table` puts under it by its feet alone.
@@ -132,10 +135,40 @@ def add_object(
     for k, (vertices, _) in enumerate(object.parts):
         shape = Convex(points=vertices.T, label=f"{name}_part_{k}")
         plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"{name}_part_{k}", material)
-    for k, p_OF in enumerate(feet(object, X_WO)):
+    for k, p_OF in enumerate(feet(object, X_WO) if stands else ()):
         plant.RegisterCollisionGeometry(body, RigidTransform(p_OF), Sphere(FOOT_RADIUS), f"{name}_foot_{k}", material)
     color = (*object_color(object.name), 1.0)
     plant.RegisterVisualGeometry(body, RigidTransform(), visual_mesh(object), f"{name}_mesh", color)
+    return body
+
+
+def add_fixture(
+    plant: MultibodyPlant,
+    object: ObjectModel,
+    X_WF: RigidTransform,
+    *,
+    name: str = "obstacle",
+    point_stiffness: float = POINT_STIFFNESS,
+) -> RigidBody:
+    """Adds an obstacle: a body that is welded to the world, with the object's convex parts.
+
+    Args:
+        plant: Plant with a scene graph, not finalised.
+        object: What it is.
+        X_WF: Its pose in W.
+        name: Name of the model instance and of the body, unique in the plant.
+        point_stiffness: Contact stiffness [N/m].
+
+    Returns:
+        The body.
+    """
+    body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.Zero())
+    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WF)
+    material = contact_material(object.friction, point_stiffness=point_stiffness)
+    for k, (vertices, _) in enumerate(object.parts):
+        shape = Convex(points=vertices.T, label=f"{name}_part_{k}")
+        plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"{name}_part_{k}", material)
+    plant.RegisterVisualGeometry(body, RigidTransform(), visual_mesh(object), f"{name}_mesh", FIXTURE_COLOR)
     return body
 
 
@@ -170,14 +203,16 @@ def add_table(
     friction: float,
     objects: Sequence[RigidBody],
     *,
+    height: float = 0.0,
     point_stiffness: float = POINT_STIFFNESS,
 ) -> None:
-    """Adds a table to the world: a box whose top is the plane z = 0 of W.
+    """Adds a table to the world: a box whose top is the plane z = 0 of W, or higher.
 
     Args:
         plant: Plant with a scene graph, not finalised, with all its other bodies.
         friction: Coefficient of friction.
         objects: Bodies of `add_object`: they touch the table by their feet, and all else by their parts.
+        height: Height of the top [m].
         point_stiffness: Contact stiffness [N/m].
     """
     others = [
@@ -186,7 +221,7 @@ def add_table(
         if (body := plant.get_body(BodyIndex(index))) not in objects
         for geometry in plant.GetCollisionGeometriesForBody(body)
     ]
-    X_WT = RigidTransform([0.0, 0.0, -0.5 * TABLE_SIZE[2]])
+    X_WT = RigidTransform([0.0, 0.0, height - 0.5 * TABLE_SIZE[2]])
     shape, world = Box(*TABLE_SIZE), plant.world_body()
     material = contact_material(friction, point_stiffness=point_stiffness)
     table = plant.RegisterCollisionGeometry(world, X_WT, shape, "table", material)

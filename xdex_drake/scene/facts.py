@@ -10,7 +10,32 @@ import numpy as np
 from xdex_drake.errors import GraspFileError, XdexError
 
 if TYPE_CHECKING:
+    from xdex_drake.scene.fixtures import Fixture
     from xdex_drake.scene.tabletop import Scene
+
+
+@dataclass(frozen=True)
+class FixtureFacts:
+    """An obstacle by what it takes to build it.
+
+    Attributes:
+        object_path: Library name, sides of a box, or path of the mesh.
+        digest: Digest of the mesh.
+        scale: Factor from the mesh file's unit to metres.
+        X_WF: Pose, the rows of the matrix [R | p] one after the other, 12 numbers.
+    """
+
+    object_path: str
+    digest: str
+    scale: float
+    X_WF: tuple[float, ...]
+
+    @staticmethod
+    def of(fixture: Fixture) -> FixtureFacts:
+        """The facts of an obstacle."""
+        thing = fixture.object
+        path = thing.name if thing.path is None else str(thing.path)
+        return FixtureFacts(path, thing.digest, thing.scale, tuple(fixture.X_WF.GetAsMatrix34().ravel().tolist()))
 
 
 @dataclass(frozen=True)
@@ -25,6 +50,8 @@ class SceneFacts:
         friction: Coefficient of friction.
         X_WO: Pose of the object, the rows of the matrix [R | p] one after the other, 12 numbers.
         scene_id: Identifier of the scene.
+        table: Height of the table's top [m], None where there is none.
+        obstacles: What is fixed in the world beside the object.
     """
 
     object_path: str
@@ -34,6 +61,8 @@ class SceneFacts:
     friction: float
     X_WO: tuple[float, ...]
     scene_id: str
+    table: float | None = 0.0
+    obstacles: tuple[FixtureFacts, ...] = ()
 
     @staticmethod
     def of(scene: Scene) -> SceneFacts:
@@ -41,7 +70,9 @@ class SceneFacts:
         model = scene.object
         path = model.name if model.path is None else str(model.path)
         pose = tuple(scene.X_WO.GetAsMatrix34().ravel().tolist())
-        return SceneFacts(path, model.digest, model.scale, model.mass, model.friction, pose, scene.scene_id)
+        physics = (model.digest, model.scale, model.mass, model.friction)
+        obstacles = tuple(FixtureFacts.of(fixture) for fixture in scene.obstacles)
+        return SceneFacts(path, *physics, pose, scene.scene_id, scene.table, obstacles)
 
     def build(self) -> Scene:
         """Prepares the object and lays it as it lay.
@@ -54,9 +85,21 @@ class SceneFacts:
         """
         from pydrake.math import RigidTransform
 
+        from xdex_drake.scene.fixtures import Fixture
         from xdex_drake.scene.object import load_object
         from xdex_drake.scene.tabletop import Scene
 
+        fixtures = []
+        for facts in self.obstacles:
+            try:
+                thing = load_object(facts.object_path, scale=facts.scale)
+            except XdexError as error:
+                raise GraspFileError(f"scene {self.scene_id}: an obstacle cannot be found: {error}") from None
+            if thing.digest != facts.digest:
+                raise GraspFileError(
+                    f"scene {self.scene_id}: {facts.object_path} is not the obstacle that it was; restore that mesh"
+                )
+            fixtures.append(Fixture(thing, RigidTransform(np.array(facts.X_WF).reshape(3, 4))))
         try:
             model = load_object(self.object_path, scale=self.scale, mass=self.mass, friction=self.friction)
         except XdexError as error:
@@ -65,4 +108,5 @@ class SceneFacts:
             raise GraspFileError(
                 f"scene {self.scene_id}: {self.object_path} is not the mesh of its grasps; restore that mesh"
             )
-        return Scene(model, RigidTransform(np.array(self.X_WO).reshape(3, 4)), self.scene_id)
+        X_WO = RigidTransform(np.array(self.X_WO).reshape(3, 4))
+        return Scene(model, X_WO, self.scene_id, self.table, tuple(fixtures))

@@ -20,7 +20,7 @@ from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_g
 from xdex_drake.scene.generator import generated_mesh, is_shape_name
 from xdex_drake.scene.hulls import convex_hull
 from xdex_drake.scene.mesh import TriangleMesh, body_of_path, clean_mesh, read_mesh
-from xdex_drake.scene.procedural import list_objects, procedural_mesh
+from xdex_drake.scene.procedural import box_mesh, box_sides, list_objects, procedural_mesh
 
 Faces = NDArray[np.int64]
 _log = logging.getLogger(__name__)
@@ -174,8 +174,8 @@ def load_object(
     where they are part of the mesh, as those of a cup, or of a wall of 2 mm where the surface is open.
 
     Args:
-        name_or_path: One of `list_objects()`, the name of a generated shape (`s0-0042`: seed 0, number 42), or the path
-            of a mesh file.
+        name_or_path: One of `list_objects()`, the name of a generated shape (`s0-0042`: seed 0, number 42), the sides
+            of a box (`0.06x0.06x0.12`, in metres), or the path of a mesh file.
         scale: Factor from the mesh file's unit to metres; guessed by the size of a mesh file where None.
         mass: Mass [kg]; unused where `density` is given.
         friction: Coefficient of friction.
@@ -193,21 +193,7 @@ def load_object(
             raise ObjectFileError(f"{name_or_path}: {label} is {value}; give a finite number greater than zero")
     if not (math.isfinite(friction) and friction >= 0.0):
         raise ObjectFileError(f"{name_or_path}: friction is {friction}; give a finite number, zero or greater")
-    text, path = str(name_or_path), None
-    if isinstance(name_or_path, str) and text in list_objects():
-        vertices, faces = procedural_mesh(text)
-        mesh, name = clean_mesh(vertices * (scale or 1.0), faces), text
-    elif isinstance(name_or_path, str) and is_shape_name(text):
-        vertices, faces = generated_mesh(text)
-        mesh, name = clean_mesh(vertices * (scale or 1.0), faces), text
-    elif isinstance(name_or_path, str) and "/" not in text and "\\" not in text and not Path(text).suffix:
-        known = list_objects()
-        close = difflib.get_close_matches(text, known, n=3, cutoff=0.5)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
-        raise UnknownObject(f"no object is named {text!r}; {hint} (a mesh is given by the path of its file)")
-    else:
-        path = Path(name_or_path)
-        mesh, name = read_mesh(path, scale=scale), _name_of(path)
+    name, path, mesh = object_mesh(name_or_path, scale=scale)
     # Far from its origin a surface is worked on near it: volume and inertia would be differences of huge numbers.
     offset = _far_center(mesh.vertices)
     mesh = replace(mesh, vertices=mesh.vertices - offset)
@@ -253,11 +239,62 @@ def load_object(
         p_OOcm=p_OOcm + offset,
         I_OcmO=np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass),
         friction=friction,
-        scale=mesh.scale if path is not None else scale or 1.0,
+        scale=mesh.scale,
         length=_surface_radius(*convex.surface, p_OOcm),
         digest=mesh_digest(mesh.vertices + offset, mesh.faces),
         report=report,
     )
+
+
+def object_mesh(name_or_path: str | Path, *, scale: float | None = None) -> tuple[str, Path | None, TriangleMesh]:
+    """The clean mesh of an object, which takes little of the time that its convex parts take.
+
+    Args:
+        name_or_path: See `load_object`.
+        scale: See `load_object`.
+
+    Returns:
+        Name of the object, the file where there is one, and the mesh, scaled.
+
+    Raises:
+        UnknownObject: The library has no such shape.
+        ObjectFileError: The mesh file cannot be used.
+    """
+    check_object_name(name_or_path)
+    text = str(name_or_path)
+    if isinstance(name_or_path, str) and (built := _built(text)) is not None:
+        return text, None, replace(clean_mesh(built[0] * (scale or 1.0), built[1]), scale=scale or 1.0)
+    path = Path(name_or_path)
+    mesh = read_mesh(path, scale=scale)
+    return _name_of(path), path, mesh
+
+
+def _built(name: str) -> tuple[Array, Faces] | None:
+    """Vertices and faces of what is built in code by its name; None for other names."""
+    if name in list_objects():
+        return procedural_mesh(name)
+    if is_shape_name(name):
+        return generated_mesh(name)
+    sides = box_sides(name)
+    return None if sides is None else box_mesh(sides)
+
+
+def check_object_name(name_or_path: str | Path) -> None:
+    """Refuses a name that is none; whether a path is one of a mesh is seen when it is read.
+
+    Args:
+        name_or_path: See `load_object`.
+
+    Raises:
+        UnknownObject: The library has no such shape.
+    """
+    text, known = str(name_or_path), list_objects()
+    if not isinstance(name_or_path, str) or "/" in text or "\\" in text or Path(text).suffix or box_sides(text):
+        return
+    if text not in known and not is_shape_name(text):
+        close = difflib.get_close_matches(text, known, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
+        raise UnknownObject(f"no object is named {text!r}; {hint} (a mesh is given by the path of its file)")
 
 
 def _name_of(path: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from pydrake.geometry import (
@@ -35,7 +36,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.plant import add_hand
-from xdex_drake.scene.bodies import add_object, add_table
+from xdex_drake.scene.bodies import add_fixture, add_object, add_table
 from xdex_drake.scene.tabletop import Scene
 
 RESOLUTION_M = 5e-3
@@ -95,6 +96,7 @@ class ScenePlant:
         object_body: The object, None where the hand is alone.
         carriage: The three prismatic joints (x, y, z) that carry the wrist, empty where the hand floats.
         mount: Frame of the carriage to which the wrist is welded, None where the hand floats.
+        obstacles: The scene's obstacles.
     """
 
     diagram: Diagram
@@ -107,6 +109,7 @@ class ScenePlant:
     object_body: RigidBody | None
     carriage: tuple[PrismaticJoint, ...]
     mount: FixedOffsetFrame | None
+    obstacles: tuple[RigidBody, ...] = ()
 
     def set_joints(self, context: Context, q: Array) -> None:
         """Sets the hand's joints, coupled ones included.
@@ -205,30 +208,21 @@ def build_plant(
         pd_gains=(settings.kp, settings.kd),
     )
     links = tuple(plant.GetBodyByName(link.name, instance) for link in hand.links)
-    X_HB = RigidTransform(RotationMatrix(hand.R_HB), hand.p_HB)
-    slides: list[PrismaticJoint] = []
-    mount = None
+    slides, mount = (), None
     if carriage:
-        carriage_instance = plant.AddModelInstance("carriage")
-        inertia = SpatialInertia.SolidSphereWithMass(CARRIAGE_MASS, CARRIAGE_RADIUS)
-        parent = plant.world_body()
-        for name, axis in zip("xyz", np.eye(3), strict=True):
-            body = plant.AddRigidBody(f"carriage_{name}", carriage_instance, inertia)
-            joint = plant.AddJoint(
-                PrismaticJoint(f"carriage_{name}", parent.body_frame(), body.body_frame(), axis, damping=0.0)
-            )
-            actuator = plant.AddJointActuator(f"carriage_{name}", joint)
-            actuator.set_controller_gains(PdControllerGains(p=settings.carriage_kp, d=settings.carriage_kd))
-            slides.append(joint)
-            parent = body
-        mount = plant.AddFrame(FixedOffsetFrame("mount", parent.body_frame(), RigidTransform()))
-        plant.AddJoint(WeldJoint("wrist", mount, links[0].body_frame(), X_HB))
-        plant.set_gravity_enabled(carriage_instance, False)
+        slides, mount = add_carriage(plant, hand, instance, settings=settings)
     plant.set_gravity_enabled(instance, False)
-    object_body = None
+    object_body, obstacles = None, ()
     if scene is not None:
-        object_body = add_object(plant, scene.object, point_stiffness=settings.point_stiffness, X_WO=scene.X_WO)
-        add_table(plant, settings.friction, [object_body], point_stiffness=settings.point_stiffness)
+        stiffness = settings.point_stiffness
+        stands = scene.table is not None
+        object_body = add_object(plant, scene.object, point_stiffness=stiffness, X_WO=scene.X_WO, stands=stands)
+        obstacles = tuple(
+            add_fixture(plant, fixture.object, fixture.X_WF, name=f"obstacle_{k}", point_stiffness=stiffness)
+            for k, fixture in enumerate(scene.obstacles)
+        )
+        if scene.table is not None:
+            add_table(plant, settings.friction, [object_body], height=scene.table, point_stiffness=stiffness)
         if modulus is not None:
             _make_hydroelastic(plant, scene_graph, links, object_body, modulus)
     plant.Finalize()
@@ -243,9 +237,52 @@ def build_plant(
         instance,
         links,
         object_body,
-        tuple(slides),
+        slides,
         mount,
+        obstacles,
     )
+
+
+def add_carriage(
+    plant: MultibodyPlant,
+    hand: Hand,
+    instance: ModelInstanceIndex,
+    *,
+    X_WH: RigidTransform | None = None,
+    settings: PlantSettings | None = None,
+) -> tuple[tuple[PrismaticJoint, ...], FixedOffsetFrame]:
+    """Puts a hand's wrist on three driven slides along x, y and z of W, the stand-in for a robot's arm.
+
+    Args:
+        plant: Plant, not finalised, with the hand.
+        hand: The hand.
+        instance: Its model instance.
+        X_WH: Pose of the wrist frame while the slides are at zero; the mount's pose in a context may be set anew.
+        settings: Gains; the defaults where None.
+
+    Returns:
+        The slides, of a model instance named `carriage`, and the frame that carries the wrist.
+    """
+    settings = settings or PlantSettings()
+    carriage_instance = plant.AddModelInstance("carriage")
+    inertia = SpatialInertia.SolidSphereWithMass(CARRIAGE_MASS, CARRIAGE_RADIUS)
+    slides: list[PrismaticJoint] = []
+    parent = plant.world_body()
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        body = plant.AddRigidBody(f"carriage_{name}", carriage_instance, inertia)
+        slide = PrismaticJoint(f"carriage_{name}", parent.body_frame(), body.body_frame(), axis, damping=0.0)
+        joint = cast(PrismaticJoint, plant.AddJoint(slide))
+        actuator = plant.AddJointActuator(f"carriage_{name}", joint)
+        actuator.set_controller_gains(PdControllerGains(p=settings.carriage_kp, d=settings.carriage_kd))
+        slides.append(joint)
+        parent = body
+    offset = FixedOffsetFrame("mount", parent.body_frame(), X_WH or RigidTransform())
+    mount = cast(FixedOffsetFrame, plant.AddFrame(offset))
+    base = plant.GetBodyByName(hand.links[0].name, instance)
+    X_HB = RigidTransform(RotationMatrix(hand.R_HB), hand.p_HB)
+    plant.AddJoint(WeldJoint("wrist", mount, base.body_frame(), X_HB))
+    plant.set_gravity_enabled(carriage_instance, False)
+    return tuple(slides), mount
 
 
 def _make_hydroelastic(

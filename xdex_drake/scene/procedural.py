@@ -1,5 +1,6 @@
 """Everyday shapes built in code, so that the library needs no mesh files."""
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -13,10 +14,27 @@ Faces = NDArray[np.int64]
 
 SIDES = 48
 
+BOX_SIDE = re.compile(r"\d+(\.\d*)?|\.\d+")
+"""A side in the name of a box."""
+
 
 def list_objects() -> tuple[str, ...]:
     """The names of the shapes, in alphabetical order."""
     return tuple(sorted(_SHAPES))
+
+
+def box_sides(name: str) -> tuple[float, ...] | None:
+    """Sides of the box that a name stands for, such as `0.1x0.2x0.3`, in metres along x, y and z; None for others."""
+    parts = name.split("x")
+    if len(parts) != 3 or not all(BOX_SIDE.fullmatch(part) for part in parts):
+        return None
+    return tuple(float(part) for part in parts)
+
+
+def box_mesh(sides: tuple[float, ...]) -> tuple[Array, Faces]:
+    """A box on z = 0, its base centered at the origin; see `procedural_mesh`."""
+    mesh = trimesh.creation.box(sides)
+    return np.asarray(mesh.vertices) + np.array([0.0, 0.0, 0.5 * sides[2]]), np.asarray(mesh.faces, dtype=np.int64)
 
 
 def procedural_mesh(name: str) -> tuple[Array, Faces]:

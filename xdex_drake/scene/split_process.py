@@ -4,9 +4,11 @@ The libraries that split and mend meshes end the process, or do not return, on s
 processor, so that a busy machine changes no result; a wall limit ends what waits for nothing.
 """
 
+import ctypes
 import logging
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -36,6 +38,9 @@ COARSE_WALL_S = 22.0
 
 MEMORY_BYTES = 6_000_000_000
 COARSELY = "split coarsely"
+
+PR_SET_PDEATHSIG = 1
+"""Number of a process's wish to be told of its parent's end (prctl)."""
 
 
 def split_in_process(vertices: Array, faces: Faces, *, likely: bool) -> tuple[tuple[Part, ...], str]:
@@ -102,9 +107,16 @@ def _limit(kind: int, value: int) -> None:
     resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
+def _end_with_parent() -> None:
+    """Has the system end this process when its parent ends, as where a time limit ends that one."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def main() -> None:
     """The child: reads `mesh.npz` of a folder and writes the parts beside it."""
     folder, way, cpu_s = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+    _end_with_parent()
     _limit(resource.RLIMIT_CPU, round(cpu_s + 2.0))  # Two seconds for what was imported.
     _limit(resource.RLIMIT_CORE, 0)
     if sys.platform.startswith("linux"):

@@ -3,6 +3,7 @@
 import hashlib
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from scipy.spatial import KDTree
 from xdex_drake.arrays import Array
 from xdex_drake.errors import ConfigError
 from xdex_drake.scene.bodies import add_object, add_table
+from xdex_drake.scene.fixtures import Fixture
 from xdex_drake.scene.object import DEFAULT_FRICTION, DEFAULT_MASS, ObjectModel, load_object
 
 _log = logging.getLogger(__name__)
@@ -40,6 +42,12 @@ SAME_SHAPE = 0.03
 OFF_TABLE = 2e-3
 """Height of the lowest point above or below the table that a user's own pose may have [m]."""
 
+HIGHEST_TABLE = 3.0
+"""Greatest height of a table, up or down [m]."""
+
+SEEN_POINTS = 2000
+"""Points of the object's surface that must lie outside of the obstacles."""
+
 TABLE_HALF = 1.0
 """Half the side of the table [m]."""
 
@@ -52,17 +60,27 @@ DROP_HEIGHT = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An object on the table, whose top is the plane z = 0 of W.
+    """An object on the table, whose top is the plane z = 0 of W unless another height is given.
 
     Attributes:
         object: The object.
         X_WO: Pose of the object in W.
-        scene_id: Identifier: the object's name, its digest's first digits, and the seed or a digest of the pose.
+        scene_id: Identifier: the object's name, its digest's first digits, and the seed or a digest of the pose; with a
+            digest of table and obstacles where these are not the usual ones.
+        table: Height of the table's top [m]; None where there is no table, and the object floats until it is held.
+        obstacles: What is fixed in the world beside the object.
     """
 
     object: ObjectModel
     X_WO: RigidTransform
     scene_id: str
+    table: float | None = 0.0
+    obstacles: tuple[Fixture, ...] = ()
+
+    @property
+    def floor(self) -> float:
+        """Height of the table's top [m]; minus infinity where there is none."""
+        return -math.inf if self.table is None else self.table
 
     def __repr__(self) -> str:
         """One line."""
@@ -70,43 +88,75 @@ class Scene:
 
 
 def make_scene(
-    object: ObjectModel, *, seed: int = 0, pose: RigidTransform | None = None, spread_m: float = 0.0
+    object: ObjectModel,
+    *,
+    seed: int = 0,
+    pose: RigidTransform | None = None,
+    spread_m: float = 0.0,
+    table: float | None = 0.0,
+    obstacles: Sequence[Fixture] = (),
 ) -> Scene:
-    """Lays an object on the table.
+    """Lays an object on the table, or lets it float.
 
     Args:
         object: The object.
         seed: Choice of the stable pose, its yaw and its place; unused where `pose` is given.
-        pose: Pose X_WO to take instead of a stable one; the object must lie on the table at it.
+        pose: Pose X_WO to take instead of a stable one; the object must lie on the table at it, where there is one.
         spread_m: Half the side of the square about the origin in which the object is placed at random [m].
+        table: Height of the table's top [m]. None for no table: the object floats where it would rest on one at z = 0,
+            a hand may come from anywhere, below too, and a grasp is judged by the protocol `release`.
+        obstacles: What is fixed in the world beside the object; hands keep clear of it.
 
     Returns:
         The scene; the same arguments give the same scene.
 
     Raises:
-        ConfigError: `spread_m` is negative or leaves the table, or the pose is in the table, above it or beyond it.
+        ConfigError: `spread_m` is negative or leaves the table, the pose is in the table, above it or beyond it, or an
+            obstacle is in the object.
     """
+    if table is not None and not abs(table) <= HIGHEST_TABLE:
+        raise ConfigError(f"the table's height is {table:g}; give metres, at most {HIGHEST_TABLE:g} up or down")
     if not 0.0 <= spread_m <= 0.5:
         raise ConfigError(f"spread_m is {spread_m:g}; give metres from 0 to 0.5, the table is 2 m wide")
     if pose is not None:
-        _check_pose(object, pose)
+        if table is not None:
+            _check_pose(object, pose, table)
         mark = "p" + hashlib.sha256(np.round(pose.GetAsMatrix34(), 9).tobytes()).hexdigest()[:8]
-        return Scene(object, pose, f"{object.name}-{object.digest[:8]}-{mark}")
+        return _surrounded(object, pose, mark, table, obstacles)
     X_WO, mark = stable_pose(object, seed=seed), f"{seed}"
+    if table:
+        X_WO = RigidTransform(X_WO.rotation(), X_WO.translation() + np.array([0.0, 0.0, table]))
     if spread_m > 0.0:
         x, y = np.random.default_rng([seed, 1]).uniform(-spread_m, spread_m, 2)
         X_WO, mark = RigidTransform(X_WO.rotation(), X_WO.translation() + np.array([x, y, 0.0])), f"{seed}s{spread_m:g}"
-    return Scene(object, X_WO, f"{object.name}-{object.digest[:8]}-{mark}")
+    return _surrounded(object, X_WO, mark, table, obstacles)
 
 
-def _check_pose(object: ObjectModel, pose: RigidTransform) -> None:
+def _surrounded(
+    object: ObjectModel, X_WO: RigidTransform, mark: str, table: float | None, obstacles: Sequence[Fixture]
+) -> Scene:
+    """The scene with table and obstacles, which must not be in the object."""
+    points = object.surface_samples(SEEN_POINTS)[0] if obstacles else np.zeros((0, 3))
+    for fixture in obstacles:
+        depth = -float(fixture.distances((X_WO @ points.T).T)[0].min())
+        if depth > 0.0:
+            raise ConfigError(
+                f"obstacle {fixture.object.name}: it is {1e3 * depth:.0f} mm inside of {object.name}; move it away"
+            )
+    if table != 0.0 or obstacles:
+        seen = [repr(table), *(f"{f.object.digest} {np.round(f.X_WF.GetAsMatrix34(), 9).tolist()}" for f in obstacles)]
+        mark += "-w" + hashlib.sha256("\n".join(seen).encode()).hexdigest()[:8]
+    return Scene(object, X_WO, f"{object.name}-{object.digest[:8]}-{mark}", table, tuple(obstacles))
+
+
+def _check_pose(object: ObjectModel, pose: RigidTransform, table: float) -> None:
     """Refuses a pose of a user's own at which nothing can lie."""
-    low = float((_points(object) @ pose.rotation().matrix()[2]).min() + pose.translation()[2])
+    low = float((_points(object) @ pose.rotation().matrix()[2]).min() + pose.translation()[2]) - table
     where = "below the table" if low < 0.0 else "above the table"
     if abs(low) > OFF_TABLE:
         raise ConfigError(
-            f"pose of {object.name}: its lowest point is {1e3 * abs(low):.0f} mm {where}, which is the plane z = 0; "
-            f"{'raise' if low < 0.0 else 'lower'} it by as much"
+            f"pose of {object.name}: its lowest point is {1e3 * abs(low):.0f} mm {where}, which is the plane z = "
+            f"{table:g}; {'raise' if low < 0.0 else 'lower'} it by as much, or give the table's height, or no table"
         )
     x, y, _ = pose @ object.p_OOcm
     if max(abs(x), abs(y)) > TABLE_HALF:

@@ -22,7 +22,7 @@ from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.plant import ScenePlant, build_plant, simulator_of
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, AnyProtocol, LiftProtocol, protocol_scene
+from xdex_drake.simulation.protocol import AnyProtocol, LiftProtocol, protocol_scene, usual_protocol
 from xdex_drake.simulation.pushes import play
 from xdex_drake.simulation.shared import shared
 from xdex_drake.simulation.trajectory import retreat, squeezed, targets
@@ -81,6 +81,14 @@ class LiftRig:
         for joint, value in zip(scene_plant.carriage, offset, strict=True):
             joint.set_translation(self._plant_context, value)
         scene_plant.set_object(self._plant_context, grasp.X_WO)
+        if self.protocol.release:
+            assert scene_plant.object_body is not None
+            scene_plant.object_body.Lock(self._plant_context)
+
+    def release(self) -> None:
+        """Lets the object go that the protocol kept in place."""
+        assert self.scene_plant.object_body is not None
+        self.scene_plant.object_body.Unlock(self._plant_context)
 
     def advance_to(self, t: float) -> None:
         """Simulates until a time [s]; a RuntimeError where Drake's solver gives up."""
@@ -136,7 +144,7 @@ def lift_rig(
     hand: Hand,
     scene: Scene,
     *,
-    protocol: LiftProtocol = LIFT,
+    protocol: LiftProtocol | None = None,
     extend: Callable[[DiagramBuilder, MultibodyPlant, SceneGraph], None] | None = None,
 ) -> LiftRig:
     """Builds the plant of a lift.
@@ -144,12 +152,13 @@ def lift_rig(
     Args:
         hand: The hand.
         scene: The object on its table.
-        protocol: The protocol.
+        protocol: The protocol; that of `usual_protocol` where None.
         extend: Called before the diagram is built, to add a visualizer.
 
     Returns:
         The rig; lifts on one rig do not influence each other.
     """
+    protocol = protocol or usual_protocol(scene)
     scene = protocol_scene(scene, protocol)
     sources: list[TrajectorySource] = []
 
@@ -168,17 +177,18 @@ def lift_rig(
     return LiftRig(protocol, scene_plant, simulator_of(scene_plant, protocol.plant), *sources)
 
 
-def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> LiftRig:
+def shared_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol | None = None) -> LiftRig:
     """The rig of a hand and a scene, built once and kept; verdicts are the same as on a new one, to the last bit.
 
     Args:
         hand: The hand.
         scene: The object on its table.
-        protocol: The protocol.
+        protocol: The protocol; that of `usual_protocol` where None.
 
     Returns:
         A rig of this process; the last few are kept. Not for use by several threads.
     """
+    protocol = protocol or usual_protocol(scene)
     return shared(lambda: lift_rig(hand, scene, protocol=protocol), "drake", hand, scene, protocol)
 
 
@@ -187,7 +197,8 @@ def _sort_touches(scene_plant: ScenePlant, pairs: Iterable[tuple[BodyIndex, Body
     index_of = {body.index(): k for k, body in enumerate(scene_plant.links)}
     object_index = scene_plant.object_body.index() if scene_plant.object_body is not None else None
     world_index = scene_plant.plant.world_body().index()
-    on_object, on_table = set(), set()
+    obstacle_indices = {body.index() for body in scene_plant.obstacles}
+    on_object, on_table, on_obstacle = set(), set(), set()
     for pair in pairs:
         for one, other in (pair, pair[::-1]):
             if one in index_of:
@@ -195,7 +206,9 @@ def _sort_touches(scene_plant: ScenePlant, pairs: Iterable[tuple[BodyIndex, Body
                     on_object.add(index_of[one])
                 elif other == world_index:
                     on_table.add(index_of[one])
-    return Touch(frozenset(on_object), frozenset(on_table))
+                elif other in obstacle_indices:
+                    on_obstacle.add(index_of[one])
+    return Touch(frozenset(on_object), frozenset(on_table), frozenset(on_obstacle))
 
 
 def _touching(scene_plant: ScenePlant, context: Context) -> Touch:
@@ -288,16 +301,18 @@ def simulate_lift(rig: LiftRig, grasp: Grasp) -> Lift:
     return play_lift(rig, grasp)
 
 
-def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol = LIFT) -> Lift:
+def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol | None = None) -> Lift:
     """Judges one grasp on the shared rig of its hand and scene; see `simulation.pushes.play`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol: a lift, or pushes without weight.
+        protocol: The protocol: a lift, or pushes without weight; where None `LIFT`, or `RELEASE` in a scene without a
+            table.
 
     Returns:
         The verdict.
     """
+    protocol = protocol or usual_protocol(scene)
     return play(shared_rig(hand, scene, protocol=protocol.grip), grasp, protocol)

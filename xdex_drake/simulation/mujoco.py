@@ -19,9 +19,9 @@ from xdex_drake.arrays import Array
 from xdex_drake.errors import MissingExtra
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
-from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, ModelFile, body_name
+from xdex_drake.interchange.mjcf import MJCF, MjcfSettings, ModelFile, body_name, obstacle_name
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, AnyProtocol, LiftProtocol, protocol_scene
+from xdex_drake.simulation.protocol import AnyProtocol, LiftProtocol, protocol_scene, usual_protocol
 from xdex_drake.simulation.pushes import play
 from xdex_drake.simulation.scenes import lift_scene
 from xdex_drake.simulation.shared import shared
@@ -47,7 +47,9 @@ class MujocoRig:
         data: Its state, an `mujoco.MjData`.
         joint_addresses: Place of each of `hand.joints` among MuJoCo's joint values, shape (n_joints,).
         link_of: Index into `hand.links` of each body of the hand.
+        obstacles: The bodies of the obstacles.
         grasp: The grasp whose lift is played.
+        kept: Joint values at which the object is kept; None where it is free.
     """
 
     protocol: LiftProtocol
@@ -57,7 +59,9 @@ class MujocoRig:
     data: Any
     joint_addresses: NDArray[np.int64] = field(repr=False)
     link_of: dict[int, int] = field(repr=False)
+    obstacles: frozenset[int] = frozenset()
     grasp: Grasp | None = None
+    kept: Array | None = None
 
     @property
     def base_body(self) -> int:
@@ -87,7 +91,12 @@ class MujocoRig:
         q, offset = targets(grasp, self.protocol, 0.0)
         self.data.qpos[CARRIAGE] = offset
         self.data.qpos[self.joint_addresses] = self.hand.q_full(q)
+        self.kept = pose if self.protocol.release else None
         mujoco.mj_forward(self.model, self.data)
+
+    def release(self) -> None:
+        """Lets the object go that the protocol kept in place."""
+        self.kept = None
 
     def advance_to(self, t: float) -> None:
         """Simulates until a time [s]; a RuntimeError where the state is no number any more."""
@@ -96,6 +105,8 @@ class MujocoRig:
             for _ in range(round((t - self.data.time) / step)):
                 self.data.ctrl[:] = self._controls(self.data.time + step)
                 mujoco.mj_step(self.model, self.data)
+                if self.kept is not None:  # as if another hand held it
+                    self.data.qpos[-7:], self.data.qvel[-6:] = self.kept, 0.0
         # MuJoCo goes on from the begin where a state is bad, and only counts it.
         if any(int(warning.number) for warning in self.data.warning):
             raise RuntimeError("MuJoCo's simulation became unstable")
@@ -121,7 +132,7 @@ class MujocoRig:
     def _touches(self, depth: float) -> Touch:
         contact, body_of = self.data.contact, self.model.geom_bodyid
         deep = np.asarray(contact.dist) < min(-depth, 0.0) if depth == 0.0 else np.asarray(contact.dist) <= -depth
-        on_object, on_table = set(), set()
+        on_object, on_table, on_obstacle = set(), set(), set()
         for pair in body_of[np.asarray(contact.geom).reshape(-1, 2)[deep]]:
             for one, other in (pair, pair[::-1]):
                 link = self.link_of.get(int(one))
@@ -129,7 +140,9 @@ class MujocoRig:
                     on_object.add(link)
                 elif link is not None and other == 0:
                     on_table.add(link)
-        return Touch(frozenset(on_object), frozenset(on_table))
+                elif link is not None and other in self.obstacles:
+                    on_obstacle.add(link)
+        return Touch(frozenset(on_object), frozenset(on_table), frozenset(on_obstacle))
 
     def X_WO(self) -> RigidTransform:
         """Pose of the object."""
@@ -195,13 +208,16 @@ def load_model(mjcf: ModelFile) -> Any:
     return mujoco_module().MjModel.from_xml_string(mjcf.xml, files)
 
 
-def mujoco_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, settings: MjcfSettings = MJCF) -> MujocoRig:
+def mujoco_rig(
+    hand: Hand, scene: Scene, *, protocol: LiftProtocol | None = None, settings: MjcfSettings = MJCF
+) -> MujocoRig:
     """Builds the scene of a lift in MuJoCo.
 
     Args:
         hand: The hand.
         scene: The object on its table.
-        protocol: The protocol. Its time step and contact stiffness are Drake's alone.
+        protocol: The protocol; that of `usual_protocol` where None. Its time step and contact stiffness are Drake's
+            alone.
         settings: MuJoCo's physics.
 
     Returns:
@@ -210,6 +226,7 @@ def mujoco_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, setti
     Raises:
         MissingExtra: MuJoCo is not installed.
     """
+    protocol = protocol or usual_protocol(scene)
     model = load_model(lift_scene(hand, scene, protocol=protocol, settings=settings))
     addresses = [int(model.joint(joint.name).qposadr[0]) for joint in hand.joints]
     link_of = {int(model.body(body_name(link)).id): k for k, link in enumerate(hand.links)}
@@ -221,6 +238,7 @@ def mujoco_rig(hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT, setti
         mujoco_module().MjData(model),
         np.array(addresses, dtype=np.int64),
         link_of,
+        frozenset(int(model.body(obstacle_name(k, hand)).id) for k in range(len(scene.obstacles))),
     )
 
 
@@ -239,14 +257,14 @@ def simulate_lift(rig: MujocoRig, grasp: Grasp) -> Lift:
     return replace(verdict, protocol=f"mujoco:{verdict.protocol}")
 
 
-def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol = LIFT) -> Lift:
+def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol | None = None) -> Lift:
     """Judges one grasp in MuJoCo, on the shared rig of its hand and scene; see `simulation.pushes.play`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol: a lift, or pushes without weight.
+        protocol: The protocol: a lift, or pushes without weight; that of `usual_protocol` where None.
 
     Returns:
         The verdict; its protocol is `mujoco:` and the protocol's name.
@@ -254,6 +272,7 @@ def lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: AnyProtocol = LIFT
     Raises:
         MissingExtra: MuJoCo is not installed.
     """
+    protocol = protocol or usual_protocol(scene)
     grip = protocol.grip
     rig = shared(lambda: mujoco_rig(hand, scene, protocol=grip), "mujoco", hand, scene, grip)
     verdict = play(rig, grasp, protocol)

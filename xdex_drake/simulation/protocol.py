@@ -57,7 +57,7 @@ class HoldTest:
 
 @dataclass(frozen=True)
 class LiftProtocol:
-    """A lift from the table.
+    """A lift from the table, or the release of an object that floats.
 
     The hand starts at the pre-grasp, closes to the grasp, squeezes, rises and holds. A lift succeeds where every bound
     is met that is given.
@@ -86,6 +86,7 @@ class LiftProtocol:
             None for the grasp's own pre-grasp; see `pushes.from_afar`.
         off_table_m: Least height of the object's lowest point at the end [m], None for any.
         hold: What comes after the lift, None for nothing; it has a verdict of its own.
+        release: Whether the object is kept in place, as if held by another hand, until the squeeze is over.
         differs: How a peers' protocol differs here from the one that was published, in words.
     """
 
@@ -111,6 +112,7 @@ class LiftProtocol:
     start_offset_H: tuple[float, float, float] | None = None
     off_table_m: float | None = None
     hold: HoldTest | None = None
+    release: bool = False
     differs: str = ""
 
     @property
@@ -171,6 +173,19 @@ BENCH_LIFT = LiftProtocol(
 
 HOLD = replace(LIFT, name="hold", cpu_limit_s=60.0, hold=HoldTest())
 """The lift of `LIFT`, then two seconds of holding and six pushes of the object's weight."""
+
+RELEASE = LiftProtocol(
+    name="release",
+    rise_s=1.0,
+    hold_s=1.0,
+    rise_m=0.0,
+    success_m=-0.02,
+    max_shift_m=0.02,
+    max_turn_rad=float(np.deg2rad(15.0)),
+    release=True,
+)
+"""For objects that float: the object is kept in place until the squeeze is over, then let go; the hand holds it against
+gravity for two seconds, within 2 cm and 15 degrees of where it was. Nothing is lifted."""
 
 LIFT_05 = LiftProtocol(
     name="lift-0.5-like",
@@ -338,7 +353,7 @@ BENCH_FC = PushProtocol(
 PROTOCOLS: dict[str, AnyProtocol] = {
     protocol.name: protocol
     for protocol in (
-        *(LIFT, HOLD, FROGGER_LIFT, BENCH_LIFT, LIFT_05),
+        *(LIFT, HOLD, FROGGER_LIFT, BENCH_LIFT, LIFT_05, RELEASE),
         *(BENCH_FC, PUSH_6_WEAK, GRAV_6_ALL, GRAV_6_ANY, SHAKE_6),
     )
 }
@@ -362,6 +377,18 @@ def find_protocol(name: str) -> AnyProtocol:
         hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(PROTOCOLS)}"
         raise ConfigError(f"protocol {name!r} is not known; {hint}")
     return PROTOCOLS[name]
+
+
+def usual_protocol(scene: Scene) -> LiftProtocol:
+    """The protocol by which the grasps of a scene are judged unless another is given.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        `LIFT` where the object lies on a table, `RELEASE` where it floats.
+    """
+    return LIFT if scene.table is not None else RELEASE
 
 
 def protocol_scene(scene: Scene, protocol: LiftProtocol) -> Scene:

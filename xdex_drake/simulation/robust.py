@@ -13,7 +13,7 @@ from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.drake import lift
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene, with_physics
+from xdex_drake.simulation.protocol import LiftProtocol, protocol_scene, usual_protocol, with_physics
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def robust_lift(
     hand: Hand,
     scene: Scene,
     *,
-    protocol: LiftProtocol = LIFT,
+    protocol: LiftProtocol | None = None,
     settings: RobustSettings = ROBUST,
     lift: Callable[..., Lift] = lift,
 ) -> RobustLift:
@@ -79,13 +79,14 @@ def robust_lift(
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol of each repeat.
+        protocol: The protocol of each repeat; that of `usual_protocol` where None.
         settings: The errors.
         lift: Plays one lift: that of Drake, or `simulation.mujoco.lift`.
 
     Returns:
         The verdicts.
     """
+    protocol = protocol or usual_protocol(scene)
     scene = protocol_scene(scene, protocol)
     # Mass and friction are in the scene now; what the protocol says about them must not undo a change.
     protocol = replace(protocol, mass_kg=None, density=None, friction=None)

@@ -12,7 +12,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.interchange.mjcf import MJCF, KeyFrame, MjcfSettings, ModelFile, scene_mjcf
 from xdex_drake.interchange.parts import file_name
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol, protocol_scene
+from xdex_drake.simulation.protocol import LiftProtocol, protocol_scene, usual_protocol
 from xdex_drake.simulation.trajectory import targets
 
 
@@ -20,7 +20,7 @@ def lift_scene(
     hand: Hand,
     scene: Scene,
     *,
-    protocol: LiftProtocol = LIFT,
+    protocol: LiftProtocol | None = None,
     grasp: Grasp | None = None,
     settings: MjcfSettings = MJCF,
 ) -> ModelFile:
@@ -29,7 +29,7 @@ def lift_scene(
     Args:
         hand: The hand.
         scene: The object on its table.
-        protocol: The protocol whose gains, mass and friction hold.
+        protocol: The protocol whose gains, mass and friction hold; that of `usual_protocol` where None.
         grasp: A grasp with pre-grasp and squeeze: where the wrist stands, and the key frames `pregrasp`, `grasp` and
             `squeeze`; the last one is the grasp with the squeeze's targets.
         settings: MuJoCo's physics.
@@ -37,6 +37,7 @@ def lift_scene(
     Returns:
         The model.
     """
+    protocol = protocol or usual_protocol(scene)
     scene = protocol_scene(scene, protocol)
     if grasp is None:
         return scene_mjcf(hand, scene, plant=protocol.plant, settings=settings)
@@ -62,14 +63,14 @@ def key_frames(grasp: Grasp, protocol: LiftProtocol) -> tuple[KeyFrame, ...]:
 
 
 def export_scenes(
-    grasps: Iterable[tuple[Grasp, Hand, Scene]], folder: str | Path, *, protocol: LiftProtocol = LIFT
+    grasps: Iterable[tuple[Grasp, Hand, Scene]], folder: str | Path, *, protocol: LiftProtocol | None = None
 ) -> list[Path]:
     """Writes a scene for each grasp into a folder; see `lift_scene`.
 
     Args:
         grasps: Grasps with pre-grasp and squeeze, each with its hand and scene.
         folder: The folder; made where it does not exist. Scenes share the meshes in its `meshes`.
-        protocol: The protocol whose gains, mass and friction hold.
+        protocol: The protocol whose gains, mass and friction hold; that of `usual_protocol` where None.
 
     Returns:
         Paths of the MJCF files, in the order of the grasps.

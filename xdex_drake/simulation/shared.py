@@ -36,7 +36,9 @@ def shared(build: Callable[[], Rig], kind: str, hand: Hand, scene: Scene, protoc
     """
     model = scene.object
     pose = scene.X_WO.GetAsMatrix34().tobytes()
-    key = (kind, _digest_by_identity(_Identity(hand)), model.digest, model.mass, model.friction, pose, protocol)
+    around = (scene.table, *((f.object.digest, f.X_WF.GetAsMatrix34().tobytes()) for f in scene.obstacles))
+    physics = (model.digest, model.mass, model.friction, pose)
+    key = (kind, _digest_by_identity(_Identity(hand)), *physics, around, protocol)
     rig = _rigs.pop(key, None) or build()
     _rigs[key] = rig
     while len(_rigs) > RIGS:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from xdex_drake.errors import ConfigError
 from xdex_drake.grasp import Grasp, Lift
 from xdex_drake.hand.description import Hand
 from xdex_drake.scene.belonging import check_belonging, check_liftable
@@ -21,6 +22,7 @@ FAILURE_REASONS = (
     "timeout",
     "pregrasp_in_contact",
     "table_collision",
+    "obstacle_collision",
     "not_grasped",
     "slipped",
     "turned",
@@ -33,10 +35,11 @@ CHECK_STEPS = 20
 
 @dataclass(frozen=True)
 class Touch:
-    """Which links touch the object, and the table, at one moment, as indices into `hand.links`."""
+    """Which links touch the object, the table, and obstacles, at one moment, as indices into `hand.links`."""
 
     object_links: frozenset[int]
     table_links: frozenset[int]
+    obstacle_links: frozenset[int] = frozenset()
 
 
 class Player(Pusher, Protocol):
@@ -49,6 +52,10 @@ class Player(Pusher, Protocol):
 
     def start(self, grasp: Grasp) -> None:
         """Puts hand and object at the begin of a lift, time zero, and takes up the lift's targets."""
+        ...
+
+    def release(self) -> None:
+        """Lets the object go that the protocol kept in place."""
         ...
 
     def touching_at_rest(self, depth: float = 0.0) -> Touch:
@@ -72,11 +79,17 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
         the lift where the protocol goes on.
 
     Raises:
-        ConfigError: Grasp, hand and scene do not belong together, or the grasp has no pre-grasp or squeeze.
+        ConfigError: Grasp, hand and scene do not belong together, the grasp has no pre-grasp or squeeze, or the
+            protocol lifts from a table that is not there.
     """
     check_belonging(grasp, player.hand, player.scene)
     check_liftable(grasp)
     protocol = player.protocol
+    if player.scene.table is None and not protocol.release:
+        raise ConfigError(
+            f"protocol {protocol.name} lifts from a table, and scene {player.scene.scene_id} has none; use protocol "
+            "release"
+        )
     # The limit is on time of the processor, so that a busy machine does not change a verdict.
     begin, cpu_begin = time.perf_counter(), time.process_time()
     player.start(grasp)
@@ -93,13 +106,15 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
         return result("pregrasp_in_contact", 0.0)
     if at_rest.table_links:
         return result("table_collision", 0.0)
+    if at_rest.obstacle_links:
+        return result("obstacle_collision", 0.0)
     step = protocol.plant.time_step
     squeezed = round((protocol.close_s + protocol.squeeze_s) / step)
     # Nothing that is left behind by half the rise comes up again.
     decided = squeezed + round(0.6 * protocol.rise_s / step)
     total = round(protocol.duration_s / step)
     after_squeeze = Touch(frozenset(), frozenset())
-    hit_table, grip = False, None
+    hit_table, hit_obstacle, grip = False, False, None
     try:
         for k in sorted({*range(CHECK_STEPS, total, CHECK_STEPS), squeezed, decided, total}):
             player.advance_to(k * step)
@@ -112,7 +127,10 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
             if k <= squeezed:
                 after_squeeze = player.touching()
                 hit_table = hit_table or bool(after_squeeze.table_links)
-            if k >= decided and rise < 0.1 * protocol.rise_m:
+                hit_obstacle = hit_obstacle or bool(after_squeeze.obstacle_links)
+            if k == squeezed and protocol.release:
+                player.release()
+            if k >= decided and rise < min(0.1 * protocol.rise_m, protocol.success_m):
                 break
     except RuntimeError as error:
         _log.info("lift of %s %s: %s", grasp.hand, grasp.grasp_id, error)
@@ -126,6 +144,8 @@ def play_lift(player: Player, grasp: Grasp) -> Lift:
     missed = _missed(player, grasp, rise, tips)
     if missed and hit_table:
         missed = "table_collision"
+    elif missed and hit_obstacle:
+        missed = "obstacle_collision"
     elif missed and not after_squeeze.object_links:
         missed = "not_grasped"
     return result(missed, rise, tips)
@@ -146,7 +166,8 @@ def _missed(player: Player, grasp: Grasp, rise: float, tips: tuple[str, ...]) ->
         shift = X_WO.translation() - grasp.X_WO.translation() - np.array([0.0, 0.0, protocol.rise_m])
         slipped = slipped or float(np.linalg.norm(shift)) >= protocol.max_shift_m
     if protocol.off_table_m is not None:
-        slipped = slipped or float((X_WO @ player.scene.object.vertices.T)[2].min()) < protocol.off_table_m
+        lowest = float((X_WO @ player.scene.object.vertices.T)[2].min()) - player.scene.floor
+        slipped = slipped or lowest < protocol.off_table_m
     if slipped:
         return "slipped"
     if protocol.max_turn_rad is not None:

@@ -16,7 +16,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.scene.belonging import check_belonging, check_liftable
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.drake import LiftRig, lift_rig, simulate_lift
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+from xdex_drake.simulation.protocol import LiftProtocol, usual_protocol
 
 FRAMES_PER_SECOND = 32.0
 """A power of two, whose multiples of the period are exact: no frame is rounded into its neighbour's place."""
@@ -82,14 +82,14 @@ class Film:
         return max((float(np.linalg.norm(p.f_W)) for frame in self.frames for p in frame.pushes), default=0.0)
 
 
-def film_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Film:
+def film_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol | None = None) -> Film:
     """Simulates a lift and records it, failed ones too.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol.
+        protocol: The protocol; that of `usual_protocol` where None.
 
     Returns:
         The recorded lift.
@@ -99,6 +99,7 @@ def film_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol 
     """
     check_belonging(grasp, hand, scene)
     check_liftable(grasp)
+    protocol = protocol or usual_protocol(scene)
     patient = replace(protocol, cpu_limit_s=max(protocol.cpu_limit_s, REPLAY_CPU_LIMIT_S))
     rig = lift_rig(hand, scene, protocol=patient)
     context = rig.scene_plant.plant.GetMyContextFromRoot(rig.simulator.get_context())

@@ -19,7 +19,7 @@ from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.looks import FINE, Detail
 from xdex_drake.scene.belonging import check_belonging, check_liftable
 from xdex_drake.scene.tabletop import Scene
-from xdex_drake.simulation.protocol import LIFT, LiftProtocol
+from xdex_drake.simulation.protocol import LIFT, LiftProtocol, usual_protocol
 from xdex_drake.visualization.dress import detail_for
 from xdex_drake.visualization.film import FRAMES_PER_SECOND, Film, film_lift
 from xdex_drake.visualization.forces import FORCE_COLOR, add_arrow, force_legend, place_arrow
@@ -28,6 +28,7 @@ from xdex_drake.visualization.stage import (
     aim,
     draw_hand,
     draw_object,
+    draw_obstacles,
     draw_table,
     draw_touch,
     link_labels,
@@ -67,14 +68,14 @@ class Replay:
     frames: int
 
 
-def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> Replay:
+def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol | None = None) -> Replay:
     """Simulates a lift and records it as a page, failed ones too.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol.
+        protocol: The protocol; that of `usual_protocol` where None.
 
     Returns:
         The page with the verdict of the recorded simulation.
@@ -82,6 +83,7 @@ def record_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtoco
     Raises:
         ConfigError: The grasp has no pre-grasp or no squeeze, or Meshcat finds no free port.
     """
+    protocol = protocol or usual_protocol(scene)
     film = film_lift(grasp, hand, scene, protocol=protocol)
     return Replay(films_page([film], rise_m=protocol.rise_m), film.lift, len(film.frames))
 
@@ -147,20 +149,20 @@ def _show_films(meshcat: Meshcat, films: Sequence[Film], rise_m: float) -> list[
         everything = _all_blobs(grasps, hands, scenes, offsets, rise_m)
         X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.1)
         center, half = _middle(everything)
-    draw_table(meshcat, center, half)
+    draw_table(meshcat, scenes, center, half)
     play_films(meshcat, paths, films, offsets, frames_per_second=FRAMES_PER_SECOND, detail=detail_for(len(films)))
     aim(meshcat, X_WC, np.array([center[0], center[1], center[2] + 0.5 * rise_m]))
     return paths
 
 
-def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol = LIFT) -> str:
+def replay_lift(grasp: Grasp, hand: Hand, scene: Scene, *, protocol: LiftProtocol | None = None) -> str:
     """Simulates a lift and records it as a page; see `record_lift`.
 
     Args:
         grasp: A grasp with pre-grasp and squeeze targets.
         hand: Its hand.
         scene: Its scene.
-        protocol: The protocol.
+        protocol: The protocol; that of `usual_protocol` where None.
 
     Returns:
         HTML that needs no other file and no network, about 3 MB.
@@ -193,7 +195,7 @@ def draw_grasps(meshcat: Meshcat, grasps: Sequence[Grasp], hands: Sequence[Hand]
         meshcat.SetTransform(path, RigidTransform(offset))
     everything = _all_blobs(grasps, hands, scenes, offsets, 0.0)
     center, half = _middle(everything)
-    draw_table(meshcat, center, half)
+    draw_table(meshcat, scenes, center, half)
     X_WC = frame_blobs(everything, direction, fov_y=FOV_Y, aspect=ASPECT, margin=1.3 if len(grasps) == 1 else 1.1)
     aim(meshcat, X_WC, center)
 
@@ -249,6 +251,7 @@ def draw_certified(meshcat: Meshcat, path: str, grasp: Grasp, hand: Hand, scene:
     # The cones open into the object, so it is to be seen through.
     draw_object(meshcat, f"{path}/object", scene.object, 1.0 if grasp.certificate is None else OBJECT_OPACITY)
     meshcat.SetTransform(f"{path}/object", grasp.X_WO)
+    draw_obstacles(meshcat, path, scene)
     if grasp.certificate is not None:
         _draw_certificate(meshcat, f"{path}/certificate", grasp)
 
@@ -319,7 +322,7 @@ def view_live(
     scenes: Sequence[Scene],
     *,
     replay: bool = False,
-    protocol: LiftProtocol = LIFT,
+    protocol: LiftProtocol | None = None,
     port: int | None = None,
 ) -> Meshcat:
     """Starts Meshcat and shows grasps side by side, or the recorded lift of one.
@@ -329,7 +332,7 @@ def view_live(
         hands: The hand of each.
         scenes: The scene of each.
         replay: Whether to simulate and show the lift of the first grasp instead of still grasps.
-        protocol: The protocol of the lift.
+        protocol: The protocol of the lift; that of `usual_protocol` where None.
         port: Port to listen on; a free one from 7000 on where None.
 
     Returns:
@@ -347,6 +350,7 @@ def view_live(
     grasp, hand, scene = grasps[0], hands[0], scenes[0]
     check_belonging(grasp, hand, scene)
     check_liftable(grasp)
+    protocol = protocol or usual_protocol(scene)
     film = film_lift(grasp, hand, scene, protocol=protocol)
     meshcat = start_meshcat(port)
     _show_films(meshcat, [film], protocol.rise_m)

@@ -14,9 +14,10 @@ from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.looks import FINE, Detail, hand_surfaces
 from xdex_drake.hand.plant import drake_shape
-from xdex_drake.scene.bodies import visual_mesh
+from xdex_drake.scene.bodies import FIXTURE_COLOR, visual_mesh
 from xdex_drake.scene.materials import object_color
 from xdex_drake.scene.object import ObjectModel
+from xdex_drake.scene.tabletop import Scene
 from xdex_drake.visualization.dress import meshes_by_color
 from xdex_drake.visualization.film import Film
 from xdex_drake.visualization.forces import play_pushes
@@ -126,19 +127,29 @@ def draw_object(meshcat: Meshcat, path: str, object: ObjectModel, opacity: float
     meshcat.SetObject(path, visual_mesh(object), Rgba(*object_color(object.name), opacity))
 
 
-def draw_table(meshcat: Meshcat, center: Array, half: float = 0.5, step: float = 0.05) -> None:
-    """A table about a point, with lines 5 cm apart, against which a rise can be seen.
+def draw_obstacles(meshcat: Meshcat, path: str, scene: Scene) -> None:
+    """Draws what is fixed beside the object of a scene."""
+    for k, fixture in enumerate(scene.obstacles):
+        meshcat.SetObject(f"{path}/obstacle_{k}", visual_mesh(fixture.object), Rgba(*FIXTURE_COLOR))
+        meshcat.SetTransform(f"{path}/obstacle_{k}", fixture.X_WF)
+
+
+def draw_table(meshcat: Meshcat, scenes: Sequence[Scene], center: Array, half: float = 0.5, step: float = 0.05) -> None:
+    """The table of some scenes, where they have one, about a point, with lines 5 cm apart to see a rise by.
 
     It lies half a millimeter low, so that the bottom of an object is seen apart from it.
     """
-    size = 2.0 * half + 1.0
+    tops = [scene.table for scene in scenes if scene.table is not None]
+    if not tops:
+        return
+    top, size = min(tops), 2.0 * half + 1.0
     meshcat.SetObject("/drake/table", Box(size, size, 0.1), Rgba(*TABLE_COLOR))
-    meshcat.SetTransform("/drake/table", RigidTransform([center[0], center[1], -0.0505]))
+    meshcat.SetTransform("/drake/table", RigidTransform([center[0], center[1], top - 0.0505]))
     half = step * float(np.ceil(half / step))
     ticks = np.arange(-half, half + 0.5 * step, step)
     starts = np.array([(x, -half, 0.0) for x in ticks] + [(-half, y, 0.0) for y in ticks])
     ends = np.array([(x, half, 0.0) for x in ticks] + [(half, y, 0.0) for y in ticks])
-    shift = np.array([center[0], center[1], -2e-4])
+    shift = np.array([center[0], center[1], top - 2e-4])
     meshcat.SetLineSegments("/drake/grid", (starts + shift).T, (ends + shift).T, 1.0, Rgba(*GRID_COLOR))
 
 
@@ -168,6 +179,7 @@ def play_films(
         at = f"{path}/{film.hand.name}"
         draw_hand(meshcat, at, film.hand, names, detail)
         draw_object(meshcat, f"{path}/object", film.scene.object)
+        draw_obstacles(meshcat, path, film.scene)
         meshcat.SetTransform(path, RigidTransform(offset))
         moments = [*enumerate(film.frames), (last, film.frames[-1])]
         for moment, frame in moments:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,14 +133,17 @@ def best_direction(grasp: Grasp, hand: Hand, scene: Scene) -> Array:
         contacts = np.array([(grasp.X_WO @ c.p_OC) for c in grasp.certificate.contacts]).reshape(-1, 3)
         links = np.array([hand.link_index[c.link] for c in grasp.certificate.contacts], dtype=int)
         tips, tip_links = np.concatenate([tips, contacts]), np.concatenate([tip_links, links])
+    beside = _obstacle_blobs(scene)
     everything = Blobs(
-        np.concatenate([blobs.centers_W, points]), np.concatenate([blobs.radii, np.full(len(points), 0.6 * gap)])
+        np.concatenate([blobs.centers_W, points, beside.centers_W]),
+        np.concatenate([blobs.radii, np.full(len(points), 0.6 * gap), beside.radii]),
     )
     n_hand = len(blobs.radii)
-    sphere_links = np.concatenate([hand.sphere_links, np.full(len(points), -1)])
+    sphere_links = np.concatenate([hand.sphere_links, np.full(len(points) + len(beside.radii), -1)])
     near = np.linalg.norm(everything.centers_W[None] - tips[:, None], axis=2) < everything.radii + 0.006
     skip_tips = (sphere_links[None] == tip_links[:, None]) | near
-    skip_object = np.broadcast_to(np.arange(len(everything.radii)) >= n_hand, (len(points), len(everything.radii)))
+    index = np.arange(len(everything.radii))
+    skip_object = np.broadcast_to((index >= n_hand) & (index < n_hand + len(points)), (len(points), len(index)))
     # A third of the spheres stands for the whole hand; what lies about a sphere's center does not hide it.
     some = blobs.centers_W[::3]
     apart = np.linalg.norm(everything.centers_W[None] - some[:, None], axis=2)
@@ -166,6 +169,16 @@ def best_direction(grasp: Grasp, hand: Hand, scene: Scene) -> Array:
             if score > best_score + 1e-9:
                 best, best_score = d, float(score)
     return best
+
+
+def _obstacle_blobs(scene: Scene) -> Blobs:
+    """Balls about the surfaces of a scene's obstacles."""
+    centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
+    for fixture in scene.obstacles:
+        points, _, gap = object_points(replace(scene, object=fixture.object), fixture.X_WF)
+        centers.append(points)
+        radii.append(np.full(len(points), 0.6 * gap))
+    return Blobs(np.concatenate(centers), np.concatenate(radii))
 
 
 def grasp_blobs(grasp: Grasp, hand: Hand, scene: Scene, *, rise_m: float = 0.0) -> Blobs:

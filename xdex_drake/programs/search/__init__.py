@@ -9,7 +9,7 @@ from xdex_drake.programs.search.candidates import Candidates, State
 from xdex_drake.programs.search.descent import descend, refine, search
 from xdex_drake.programs.search.problem import SearchProblem, search_problem
 from xdex_drake.programs.search.settings import EnergyWeights, SearchSettings
-from xdex_drake.programs.search.starts import random_rotations, sample_starts, turned_towards
+from xdex_drake.programs.search.starts import places_in, random_rotations, sample_starts, turned_towards
 from xdex_drake.programs.search.view import evaluate
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "State",
     "descend",
     "evaluate",
+    "places_in",
     "random_rotations",
     "refine",
     "sample_starts",

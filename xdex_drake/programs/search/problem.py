@@ -10,9 +10,11 @@ import torch
 from xdex_drake.hand.batched_kinematics import BatchedHand, FixedPoints
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.grasp_types import approach_axis, contact_slots, finger_tips
-from xdex_drake.programs.search.settings import SearchSettings
+from xdex_drake.programs.search.settings import SearchSettings, check_approach
 from xdex_drake.programs.spheres import PAIR_SPACING, search_spheres, sphere_pairs
 from xdex_drake.programs.term import Term
+from xdex_drake.programs.terms.region import InRegion
+from xdex_drake.programs.terms.surroundings import Surroundings
 from xdex_drake.scene.grid_torch import TorchGrid
 from xdex_drake.scene.tabletop import Scene
 
@@ -27,6 +29,7 @@ class SearchProblem:
         R_WO: Rotation of the object, shape (3, 3).
         p_WO: Origin of the object [m], shape (3,).
         p_WOcm: Center of mass [m], shape (3,).
+        floor: Height of the table's top, minus infinity where there is none [m].
         length: Length that divides torques [m].
         friction: Coefficient of friction.
         spheres: The spheres that the search keeps apart from object and table.
@@ -47,6 +50,7 @@ class SearchProblem:
     R_WO: torch.Tensor
     p_WO: torch.Tensor
     p_WOcm: torch.Tensor
+    floor: float
     length: float
     friction: float
     spheres: FixedPoints
@@ -83,13 +87,15 @@ def search_problem(
         The problem.
 
     Raises:
-        ConfigError: Two terms of the settings have one name.
+        ConfigError: Two terms of the settings have one name, or the approach comes from below the table.
     """
 
     def tensor(values: object) -> torch.Tensor:
         return torch.tensor(np.asarray(values, dtype=float), dtype=dtype, device=device)
 
     settings = settings or SearchSettings()
+    if scene.table is not None:
+        check_approach(settings.approach)
     slots = contact_slots(hand)
     slots = slots if settings.grasp_type == "power" else slots[:-1]
     chosen = search_spheres(hand, palm=settings.grasp_type == "power")
@@ -104,6 +110,7 @@ def search_problem(
         R_WO=tensor(scene.X_WO.rotation().matrix()),
         p_WO=tensor(scene.X_WO.translation()),
         p_WOcm=tensor(scene.X_WO @ scene.object.p_OOcm),
+        floor=scene.floor,
         length=scene.object.length,
         friction=scene.object.friction,
         spheres=batched.spheres.subset(torch.as_tensor(chosen, device=device)),
@@ -117,6 +124,12 @@ def search_problem(
         reach=tensor(hand.spheres[a, 3] + hand.spheres[b, 3]),
         approach=tensor(approach_axis(hand)[1]),
         tip_points=batched.fixed_points(*finger_tips(hand)),
-        terms=settings.energy(),
+        terms=(*settings.energy(), *((term.weight, term) for term in _of_scene(scene, settings))),
         settings=settings,
     )
+
+
+def _of_scene(scene: Scene, settings: SearchSettings) -> tuple[Term, ...]:
+    """Terms that hold a scene: its obstacles, and the region of its object that was asked for."""
+    region = () if settings.region is None else (InRegion(settings.region, scene),)
+    return (*Surroundings.of(scene), *region)

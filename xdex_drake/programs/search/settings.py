@@ -12,6 +12,7 @@ from xdex_drake.programs.term import Term
 from xdex_drake.programs.terms import EQ_1
 from xdex_drake.programs.terms.approach import APPROACH_COSINE, Approach, checked_direction
 from xdex_drake.programs.terms.spread import Spread
+from xdex_drake.scene.region import Region
 
 LOWEST_APPROACH = 0.35
 """Greatest upward part of a palm's direction: from further below, no hand comes past the table."""
@@ -63,6 +64,7 @@ class SearchSettings:
         approach: Direction that the palm shall come along, in W, of any length; any where None.
         approach_cosine: Cosine between the palm's direction and that one that is enough; polished grasps keep it.
         spread: Distance that contact points shall keep from each other [m]; any where 0.
+        region: Part of the object in which contacts shall lie; anywhere where None.
     """
 
     terms: tuple[Term, ...] = EQ_1
@@ -81,13 +83,13 @@ class SearchSettings:
     approach: tuple[float, float, float] | None = None
     approach_cosine: float = APPROACH_COSINE
     spread: float = 0.0
+    region: Region | None = None
 
     def __post_init__(self) -> None:
         """Refuses what can be no setting.
 
         Raises:
-            ConfigError: A number is out of range, the grasp type is none, or the approach is zero, or points up so
-                that the hand would have to come from below the table.
+            ConfigError: A number is out of range, the grasp type is none, or the approach is zero.
         """
         kinds = get_args(GraspType)
         if self.grasp_type not in kinds:
@@ -97,11 +99,8 @@ class SearchSettings:
                 raise ConfigError(f"{name} is {getattr(self, name)}; give {least} or more")
         if not 0.0 <= self.spread < 0.5:
             raise ConfigError(f"spread is {self.spread:g} m; give a distance between 0 and 0.5")
-        if self.approach is not None and checked_direction(self.approach)[2] > LOWEST_APPROACH:
-            raise ConfigError(
-                f"approach {list(self.approach)} comes from below the table; give a direction that points down or "
-                "sideways, such as (0, 0, -1)"
-            )
+        if self.approach is not None:
+            checked_direction(self.approach)
 
     def energy(self) -> tuple[tuple[float, Term], ...]:
         """The terms with the weights that hold: those of `terms`, and the wishes that were made.
@@ -123,3 +122,19 @@ class SearchSettings:
             raise ConfigError(f"terms: two are named {twice[0]!r}; give each a name of its own")
         given = {name: weight for name, weight in vars(self.weights).items() if weight is not None}
         return tuple((given.get(term.name, term.weight), term) for term in terms)
+
+
+def check_approach(approach: tuple[float, float, float] | None) -> None:
+    """Refuses an approach that no hand can take where there is a table.
+
+    Args:
+        approach: Direction that the palm shall come along, in W; any where None.
+
+    Raises:
+        ConfigError: It points up so that the hand would have to come from below the table.
+    """
+    if approach is not None and checked_direction(approach)[2] > LOWEST_APPROACH:
+        raise ConfigError(
+            f"approach {list(approach)} comes from below the table; give a direction that points down or sideways, "
+            "such as (0, 0, -1), or take the table away"
+        )

@@ -7,11 +7,13 @@ import torch
 from numpy.typing import NDArray
 
 from xdex_drake.arrays import Array, skew
+from xdex_drake.errors import ConfigError
 from xdex_drake.hand.description import Hand
 from xdex_drake.programs.grasp_types import approach_axis, random_contact_sets
 from xdex_drake.programs.search.candidates import State
 from xdex_drake.programs.search.problem import SearchProblem
 from xdex_drake.programs.search.settings import LOWEST_APPROACH
+from xdex_drake.scene.region import Region
 from xdex_drake.scene.tabletop import Scene
 
 
@@ -65,7 +67,8 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     """
     rng = np.random.default_rng(seed)
     batched, settings = problem.batched, problem.settings
-    R_WHs, p_WHs, approach = random_wrists(hand, scene, rng, count * settings.oversample, settings.approach)
+    places = None if settings.region is None else places_in(scene, settings.region)
+    R_WHs, p_WHs, approach = random_wrists(hand, scene, rng, count * settings.oversample, settings.approach, places)
     limits, total = hand.limits, len(R_WHs)
     spread = 0.12 * (limits[1] - limits[0])
     qs = np.clip(hand.q_rest + spread * rng.normal(size=(total, len(hand.q_rest))), limits[0], limits[1])
@@ -77,7 +80,7 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     poses = batched.forward(tensor(R_WHs), tensor(p_WHs), tensor(qs))
     centers = problem.spheres.positions(poses)
     # Lift out of the table whatever reaches into it: cheaper than to descend.
-    sunk = (problem.radii - centers[:, 2]).max(-1).values.clamp_min(0.0)
+    sunk = (problem.radii - (centers[:, 2] - problem.floor)).max(-1).values.clamp_min(0.0)
     distance, _ = problem.grid.nearest(problem.R_WO.T @ (centers - problem.p_WO[:, None]))
     inside = (problem.radii - distance).clamp_min(0.0).sum(-1)
     rows = best_of_octants(approach, (inside + 10.0 * sunk).cpu().numpy(), count)
@@ -93,10 +96,32 @@ def sample_starts(problem: SearchProblem, hand: Hand, scene: Scene, count: int, 
     )
 
 
+def places_in(scene: Scene, region: Region) -> Array:
+    """Points of the object's surface that lie in a region, in W [m], shape (n, 3).
+
+    Raises:
+        ConfigError: There are none.
+    """
+    points, _ = scene.object.surface_samples(4000)
+    inside = points[region.distances(points)[0] < 0.0]
+    if len(inside) == 0:
+        low, high = scene.object.vertices.min(axis=0), scene.object.vertices.max(axis=0)
+        raise ConfigError(
+            f"no point of the surface of {scene.object.name} lies in the region; in its frame it reaches from "
+            f"{low.round(3).tolist()} to {high.round(3).tolist()} m"
+        )
+    return (scene.X_WO @ inside.T).T
+
+
 def random_wrists(
-    hand: Hand, scene: Scene, rng: np.random.Generator, count: int, wish: tuple[float, float, float] | None
+    hand: Hand,
+    scene: Scene,
+    rng: np.random.Generator,
+    count: int,
+    wish: tuple[float, float, float] | None,
+    places: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Random wrist poses from which a hand at rest would hold the object, none of them from below the table.
+    """Random wrist poses from which a hand at rest would hold the object, none of them from below a table.
 
     Args:
         hand: The hand.
@@ -104,6 +129,7 @@ def random_wrists(
         rng: Source of randomness.
         count: Greatest number of poses.
         wish: Direction in W near which the palm shall come, of any length; any where None.
+        places: Points about which the hand shall hold [m], shape (n, 3); the whole object where None.
 
     Returns:
         R_WHs, shape (n, 3, 3), p_WHs [m], shape (n, 3), and the palm's directions in W, shape (n, 3).
@@ -115,13 +141,15 @@ def random_wrists(
         spread_out = wanted + 0.3 * rng.normal(size=(len(R_WHs), 3))
         spread_out /= np.linalg.norm(spread_out, axis=1, keepdims=True)
         R_WHs = turned_towards(R_WHs, direction_H, spread_out)
-    # From below the table no hand comes; straight sideways is as far as it goes.
+    # From below a table no hand comes; straight sideways is as far as it goes.
     approach = R_WHs @ direction_H
-    keep = np.flatnonzero(approach[:, 2] < LOWEST_APPROACH)[:count]
+    keep = np.flatnonzero(approach[:, 2] < (LOWEST_APPROACH if scene.table is not None else np.inf))[:count]
     R_WHs, approach = R_WHs[keep], approach[keep]
     vertices = scene.X_WO @ scene.object.vertices.T  # (3, n)
     low, high = vertices.min(1), vertices.max(1)
     p_WOcm = scene.X_WO @ scene.object.p_OOcm
+    if places is not None:
+        p_WOcm, low, high = places.mean(axis=0), places.min(axis=0), places.max(axis=0)
     aim = p_WOcm + 0.3 * (high - low) * rng.uniform(-1.0, 1.0, size=(len(keep), 3))
     # Fingers come from the side that the palm is on: leave the palm outside the object.
     p_WHs = aim - np.einsum("nab,b->na", R_WHs, center_H) - approach * rng.uniform(0.0, 0.04, size=(len(keep), 1))

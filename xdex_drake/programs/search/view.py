@@ -112,7 +112,7 @@ class BatchView:
 
     @property
     def heights(self) -> torch.Tensor:
-        return self._centers[:, 2]
+        return self._centers[:, 2] - self.problem.floor
 
     @cached_property
     def between_W(self) -> torch.Tensor:

@@ -97,8 +97,7 @@ def table_block(spheres: NDArray[np.int64], clearance: float) -> Block:
 
     def evaluate(point: Point) -> tuple[Array, Array]:
         up = np.tile([0.0, 0.0, MM], (len(spheres), 1))
-        heights = point.centers_W[spheres, 2] - point.k.hand.spheres[spheres, 3]
-        return MM * heights, without_forces(point, point.pull_back_spheres(spheres, up))
+        return MM * point.heights[spheres], without_forces(point, point.pull_back_spheres(spheres, up))
 
     low = np.full(len(spheres), MM * clearance)
     return Block("table", evaluate, low, np.full(len(spheres), np.inf), "mm", "gap between sphere and table")
