@@ -27,7 +27,7 @@ from xdex_drake.hand.surface import write_surfaces
 from xdex_drake.hand.yaml_file import hand_text, read_hand, surfaces_file
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
-RECIPE = 5  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
+RECIPE = 6  # Raise whenever the way from a file to its hand changes: it is part of the cache's key.
 WHAT = "a URDF, MJCF or SDFormat file of one hand"
 READERS: dict[str, Callable[[Path, Allowed], FileModel]] = {
     "robot": read_urdf,
