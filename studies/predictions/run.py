@@ -1,9 +1,9 @@
 """What a model's draws become, stage by stage; nothing is chosen. Times are of the processor, lifts left out.
 
-`one start` refines each draw from itself alone, as before; `refined` adds eight jittered starts, some with other
+`one start` polishes each draw as it is, and after a descent; `refined` adds eight jittered starts, some with other
 fingers, all in one batch; `raw` is inverse kinematics and the squeeze rule.
 
-The shipped results: python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can,bottle
+The shipped results: python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can
 """
 
 import argparse

@@ -45,7 +45,7 @@ def test_a_bench_judges_every_draw_and_goes_on_where_it_stopped(tmp_path, capsys
         assert row["found"] == "1" or row["lifted"] == "0"
     # What was certified lies near its draw, and is stored with its lift.
     near = [float(row["moved_cm"]) for row in rows if row["stage"] == "refined" and row["found"] == "1"]
-    assert all(moved < 3.0 for moved in near)
+    assert all(moved < 2.1 for moved in near)
     (cell,) = (out / "cells").glob("*.csv")
     grasps = read_grasps(cell.with_suffix(".parquet")) if any(row["found"] == "1" for row in rows) else []
     assert len(grasps) == sum(row["found"] == "1" for row in rows)

@@ -17,6 +17,7 @@ from xdex_drake.errors import DatasetError
 from xdex_drake.grasp import Certificate, Contact, Grasp, Hold, Lift
 from xdex_drake.hand.library import load_hand
 from xdex_drake.jobs.pairs import DatasetConfig, generate
+from xdex_drake.learning.samples import pack_dataset
 from xdex_drake.scene.object import load_object
 from xdex_drake.scene.tabletop import make_scene
 
@@ -184,3 +185,11 @@ def test_a_data_set_goes_through_a_table_and_a_run_resumes_from_it(tmp_path, cap
         np.testing.assert_allclose(other["q"], row["q"], atol=2e-3)
         np.testing.assert_allclose(other["X_WH"], row["X_WH"], atol=1e-3)
     assert dict(iter_rejected(tmp_path / "again"))["can-0-inspire"] == dict(iter_rejected(folder))["can-0-inspire"]
+    # A training pack comes from the table as from the data set, without certificates.
+    one, other = pack_dataset(tmp_path / "again"), pack_dataset(table)
+    assert sorted(one.scene_names) == sorted(other.scene_names)
+    assert sorted(one.hand_names[h] for h in one.hand) == sorted(other.hand_names[h] for h in other.hand)
+    assert len(np.unique(one.pair)) == len(np.unique(other.pair))
+    key = [np.sort(np.linalg.norm(pack.points[:, :2], axis=1)) for pack in (one, other)]
+    np.testing.assert_allclose(*key, atol=0.02)
+    assert abs(float(np.abs(one.vectors).mean()) - float(np.abs(other.vectors).mean())) < 5e-3

@@ -368,13 +368,13 @@ class DatasetExpand:
 
 @dataclass(frozen=True)
 class DatasetPack:
-    """Packs a data set into one file that holds all that training needs, and is read where only torch is installed.
+    """Packs a data set or its compact table into one file with all that training needs, read where torch alone is.
 
     Then `python -m xdex_drake.learning.training CONFIG.yaml --pack FILE.safetensors --out DIR` trains on any machine.
     Try `xdex dataset pack pairs --out pairs.safetensors`.
 
     Attributes:
-        folder: Folder of the data set.
+        folder: Folder of the data set, or of its compact table.
         out: The file.
         splits: A YAML file that lists `validation_scenes` and `validation_hands`; training chooses scenes without it.
         failures: Grasps that did not lift to keep, at most this many for each that did.

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from xdex_drake.dataset.assets import asset, copy_assets, mesh_path, with_kept_mesh
 from xdex_drake.dataset.compact import (
@@ -36,9 +39,11 @@ from xdex_drake.dataset.tables import append_unit, read_units
 from xdex_drake.errors import DatasetError
 from xdex_drake.grasp import Grasp
 from xdex_drake.grasping.restore import restore
+from xdex_drake.hand.description import Hand
 from xdex_drake.hand.yaml_file import hand_digest
 from xdex_drake.jobs.processes import UnitResult, run_units
 from xdex_drake.jobs.workbench import hand_of, scene_of, use_one_thread
+from xdex_drake.scene.tabletop import Scene
 
 NOTES = ("xdex_commit",)
 """Entries of a shard's metadata that its compact unit keeps."""
@@ -133,6 +138,47 @@ def table_units(table: str | Path) -> set[str]:
     return {unit.header.unit for unit in read_units(table)}
 
 
+def stored_grasps(
+    unit: CompactUnit, folder: str | Path
+) -> Iterator[tuple[Hand, Scene, list[tuple[Grasp, NDArray[np.bool_]]]]]:
+    """The grasps of a compact unit as they are stored: poses, names and lifts, without certificates.
+
+    Args:
+        unit: The unit.
+        folder: Folder of its table or data set, whose hands and meshes are used.
+
+    Yields:
+        Each hand with the scene, and its grasps with the slots that touch.
+
+    Raises:
+        DatasetError: A hand is not the one it was made with.
+        GraspFileError: The object is not the one it was made with.
+    """
+    header, facts = unit.header, unit.header.scene
+    scene = scene_of(replace(facts, object_path=mesh_path(folder, facts.object_path, facts.digest)))
+    for entry, table, is_source in zip(header.hands, unit.rows, is_source_row(header), strict=True):
+        hand = hand_of(str(asset(folder, entry.digest) or entry.path))
+        if hand_digest(hand) != entry.digest:
+            raise DatasetError(f"unit {header.unit}: hand {entry.name} is not the one it was made with; restore it")
+        grasps = []
+        for row, first in zip(table, is_source.tolist(), strict=True):
+            X_WH, q, slots = pose_of_row(row, hand, scene)
+            name, source = ids_of_row(row, entry, header, is_source=first)
+            lift = lift_of_row(row, hand, header)
+            grasp = Grasp(
+                hand.name, scene.object.name, scene.X_WO, X_WH, q, grasp_id=name, source_grasp_id=source, lift=lift
+            )
+            grasps.append((grasp, slots))
+        yield hand, scene, grasps
+
+
+def plain_rows(unit: CompactUnit, folder: str | Path) -> tuple[Row, ...]:
+    """The rows of a compact unit without certificates, pre-grasps and squeezes; see `stored_grasps`."""
+    parts = stored_grasps(unit, folder)
+    rows = _with_points((hand, scene, [grasp for grasp, _ in some]) for hand, scene, some in parts)
+    return tuple(with_kept_mesh(folder, rows))
+
+
 def expand_unit(unit: CompactUnit, folder: str | Path) -> tuple[Row, ...]:
     """The rows of a compact unit, whole again.
 
@@ -149,26 +195,28 @@ def expand_unit(unit: CompactUnit, folder: str | Path) -> tuple[Row, ...]:
         GraspFileError: The object is not the one it was made with.
     """
     use_one_thread()
-    header, facts = unit.header, unit.header.scene
-    scene = scene_of(replace(facts, object_path=mesh_path(folder, facts.object_path, facts.digest)))
+
+    def whole(hand: Hand, scene: Scene, stored: Grasp, slots: NDArray[np.bool_]) -> Grasp:
+        found = restore(hand, scene, stored.X_WH, stored.q, slots).grasp
+        if found is None:
+            return stored
+        own = {"grasp_id": stored.grasp_id, "source_grasp_id": stored.source_grasp_id, "lift": stored.lift}
+        return replace(found, **own, seconds=0.0)
+
+    parts = stored_grasps(unit, folder)
+    rows = _with_points((hand, scene, [whole(hand, scene, *entry) for entry in some]) for hand, scene, some in parts)
+    return tuple(with_kept_mesh(folder, rows))
+
+
+def _with_points(parts: Iterable[tuple[Hand, Scene, list[Grasp]]]) -> list[Row]:
+    """Rows of a unit's grasps, sources first, whose object points those that come from them share."""
     rows: list[Row] = []
     points: dict[str, Sequence[float]] = {}
-    for entry, table, is_source in zip(header.hands, unit.rows, is_source_row(header), strict=True):
-        hand = hand_of(str(asset(folder, entry.digest) or entry.path))
-        if hand_digest(hand) != entry.digest:
-            raise DatasetError(f"unit {header.unit}: hand {entry.name} is not the one it was made with; restore it")
-        grasps = []
-        for row, first in zip(table, is_source.tolist(), strict=True):
-            X_WH, q, slots = pose_of_row(row, hand, scene)
-            found = restore(hand, scene, X_WH, q, slots).grasp
-            grasp = found or Grasp(hand.name, scene.object.name, scene.X_WO, X_WH, q)
-            name, source = ids_of_row(row, entry, header, is_source=first)
-            lift = lift_of_row(row, hand, header)
-            grasps.append(replace(grasp, grasp_id=name, source_grasp_id=source, lift=lift, seconds=0.0))
+    for hand, scene, grasps in parts:
         made = rows_of(grasps, hand, scene, source_points=points)
         points |= {row["grasp_id"]: row["object_point_O"] for row in made}
         rows += made
-    return tuple(with_kept_mesh(folder, rows))
+    return rows
 
 
 def expand_table(

@@ -29,7 +29,7 @@ from xdex_drake.learning.predict import Prediction, sample
 from xdex_drake.learning.protocol import Model
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.inverse_kinematics import IkResult, frame_targets, solve_points
-from xdex_drake.programs.link_pose_ik import touching_fingers
+from xdex_drake.programs.link_pose_ik import reach_block, touching_fingers
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import REFINEMENT, RETRY, RetrySettings, jittered_starts
 from xdex_drake.programs.search import Candidates, refine
@@ -43,7 +43,7 @@ TIP_RESIDUAL = 0.01
 """Mean distance of the fingertips from where they were predicted above which a raw grasp is none [m]."""
 
 REACH = 0.02
-"""How far a refined grasp's wrist may start from the prediction's [m]."""
+"""How far a refined grasp's wrist may be from the prediction's [m]."""
 
 
 def default_checkpoint() -> Path:
@@ -164,9 +164,9 @@ def refined_starts(
 ) -> list[Candidates]:
     """Starts of the post-optimisation about every prediction, after one short descent of all of them together.
 
-    Each prediction descends as it is, and from jittered starts about it, some of which touch with other fingers: the
-    nearest fingers alone do not say which contacts hold. Starts that end more than `REACH` from the prediction's wrist
-    are another grasp, and are left out.
+    A good prediction needs no descent. Each also descends as it is, and from jittered starts about it, some of which
+    touch with other fingers: the nearest fingers alone do not say which contacts hold. Starts that end more than
+    `REACH` from the prediction's wrist are another grasp, and are left out.
 
     Args:
         hand: The hand.
@@ -176,7 +176,7 @@ def refined_starts(
         retry: How many jittered starts, and how far about.
 
     Returns:
-        For each prediction its starts, first the prediction itself, then the others, least energy first.
+        For each prediction its starts: the prediction itself, itself after the descent, the others, least energy first.
     """
     rng = np.random.default_rng([seed, 1])
     about = [
@@ -188,9 +188,9 @@ def refined_starts(
     starts = []
     for k in range(len(raw.energy)):
         rows = np.arange(k * each, (k + 1) * each)
-        near = rows[1:][np.linalg.norm(found.p_WHs[rows[1:]] - raw.p_WHs[k], axis=1) <= REACH]
-        rows = np.concatenate([rows[:1], near[np.argsort(found.energy[near], kind="stable")]])
-        starts.append(_rows(found, rows))
+        rows = np.append(rows[0], rows[1:][np.argsort(found.energy[rows[1:]], kind="stable")])
+        near = rows[np.linalg.norm(found.p_WHs[rows] - raw.p_WHs[k], axis=1) <= REACH]
+        starts.append(_joined([_rows(raw, np.array([k])), _rows(found, near)]))
     return starts
 
 
@@ -258,7 +258,9 @@ def refined_candidates(
 
 def _programs(hand: Hand, scene: Scene, starts: Candidates, polish: PolishSettings | None) -> Iterator[GraspProgram]:
     for R_WH, p_WH, q, fingers in zip(starts.R_WHs, starts.p_WHs, starts.qs, starts.fingers, strict=True):
-        yield polish_program(hand, scene, _pose(R_WH, p_WH), q, fingers, settings=polish)
+        # The first start is the prediction itself.
+        near = (reach_block(starts.p_WHs[0], REACH),)
+        yield polish_program(hand, scene, _pose(R_WH, p_WH), q, fingers, settings=polish, extra_constraints=near)
 
 
 def _raw(hand: Hand, scene: Scene, raw: Candidates, k: int) -> Iterator[Grasp | Rejection]:

@@ -15,10 +15,12 @@ from scipy.spatial.transform import Rotation
 from xdex_drake.arrays import Array
 from xdex_drake.dataset.assets import hand_finder, object_finder
 from xdex_drake.dataset.folder import read_dataset
-from xdex_drake.dataset.schema import ObjectFacts, object_facts_from_row
+from xdex_drake.dataset.schema import SCHEMA, ObjectFacts, object_facts_from_row
+from xdex_drake.dataset.tables import read_units, table_files
 from xdex_drake.errors import DatasetError
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import forward_kinematics
+from xdex_drake.jobs.compaction import plain_rows
 from xdex_drake.learning.features import hand_features, link_frames, object_features, object_point
 from xdex_drake.learning.pack import NORMAL, HandFeatures, ObjectFeatures, Pack, check_pack, pose_vectors
 from xdex_drake.scene.object import ObjectModel
@@ -84,7 +86,7 @@ def pack_dataset(
     on its own, found by the heading rule where the row has none either. Grasps that were never simulated are left out.
 
     Args:
-        folder: Folder of the data set.
+        folder: Folder of the data set, or of its compact table.
         splits: What validates; None leaves the choice to training.
         failures: Grasps that did not lift to keep, at most this many for each that did.
         seed: Seed of their choice.
@@ -99,7 +101,7 @@ def pack_dataset(
             those found.
         XdexError: A shard, hand or object cannot be used.
     """
-    table = read_dataset(folder, _COLUMNS)
+    table = _table_of(folder) if table_files(folder) else read_dataset(folder, _COLUMNS)
     kept = _rows_to_keep(table, failures, np.random.default_rng(seed))
     table = table.take(pa.array(kept)).combine_chunks()
     if len(table) == 0:
@@ -187,6 +189,16 @@ def make_pack(
     )
     check_pack(pack)
     return pack
+
+
+def _table_of(folder: str | Path) -> pa.Table:
+    """The columns of a compact table's grasps; certificates are not needed, and not computed."""
+    schema = pa.schema([SCHEMA.field(name) for name in _COLUMNS])
+    units = [
+        pa.Table.from_pylist([{name: row[name] for name in _COLUMNS} for row in plain_rows(unit, folder)], schema)
+        for unit in read_units(folder)
+    ]
+    return pa.concat_tables([schema.empty_table(), *units])
 
 
 def _rows_to_keep(table: pa.Table, failures: float, rng: np.random.Generator) -> np.ndarray:

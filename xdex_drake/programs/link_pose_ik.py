@@ -9,8 +9,10 @@ from pydrake.math import RigidTransform, RotationMatrix
 from xdex_drake.arrays import Array
 from xdex_drake.hand.description import Hand
 from xdex_drake.hand.kinematics import Configuration
+from xdex_drake.programs.block import MM, Block, without_forces
 from xdex_drake.programs.force_closure import PolishSettings, polish_program
 from xdex_drake.programs.inverse_kinematics import IkResult, link_pose_targets, solve_points
+from xdex_drake.programs.point import Point
 from xdex_drake.programs.program import GraspProgram
 from xdex_drake.programs.retargeting import keypoint_cost
 from xdex_drake.scene.tabletop import Scene
@@ -62,6 +64,28 @@ def touching_fingers(hand: Hand, scene: Scene, X_WH: RigidTransform, q: Array, *
     if chosen.sum() > 4:
         chosen[order[4:]] = False
     return chosen
+
+
+def reach_block(p_WH: Array, reach: float) -> Block:
+    """Keeps the wrist near a predicted one: a program that goes farther finds another grasp, not the one it was given.
+
+    Args:
+        p_WH: Origin of the predicted wrist in W [m], shape (3,).
+        reach: Greatest distance from it [m].
+
+    Returns:
+        The block; its row is the squared distance over `reach`, which is smooth.
+    """
+
+    def evaluate(point: Point) -> tuple[Array, Array]:
+        apart = point.k.X_WH.translation() - p_WH
+        J = np.zeros((1, 6 + len(point.k.q)))
+        J[0, 3:6] = 2.0 * MM * apart / reach
+        return np.array([MM * float(apart @ apart) / reach]), without_forces(point, J)
+
+    upper = np.array([MM * reach])
+    meaning = f"the wrist stays within {100.0 * reach:.0f} cm of the prediction"
+    return Block("reach", evaluate, np.array([-np.inf]), upper, "mm", meaning)
 
 
 def link_pose_ik_program(

@@ -306,6 +306,7 @@ CONSTRAINT_WORDS = {
     "cone": "friction is too low for the forces that would balance the object's weight",
     "palm direction": "the palm cannot come along the direction that was asked for",
     "region": "contacts cannot lie in the part of the object that was asked for",
+    "reach": "the grasp would be farther from the prediction than is allowed",
     "normal force": "contacts would have to press harder, or more lightly, than allowed",
 }
 """What it means that a constraint is left violated, for people."""
