@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -26,6 +27,10 @@ TRIES_AGAIN = 3
 
 AHEAD = 2
 """Units that are handed to the cluster for each of its cores, so that none waits."""
+
+
+CONNECT_S = 10.0
+"""Longest time for the head of a cluster to answer [s]."""
 
 
 def ray_module() -> ModuleType:
@@ -73,13 +78,7 @@ def run_units_on_ray(
     ray = ray_module()
     was_there = ray.is_initialized()
     if not was_there:
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="ERROR")
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            reason = str(error).splitlines()[0]
-            raise ConfigError(
-                f"--ray {address}: no Ray cluster answers: {reason}; start one by `ray start --head`"
-            ) from None
+        _join(ray, address)
     task = ray.remote(num_cpus=1, max_retries=TRIES_AGAIN, max_calls=units_per_process)(_attempt_there)
     remaining, running = iter(units), {}
     try:
@@ -100,6 +99,19 @@ def run_units_on_ray(
             ray.cancel(reference, force=True)
         if not was_there:
             ray.shutdown()
+
+
+def _join(ray: ModuleType, address: str) -> None:
+    """Connects this process to a cluster; raises where there is none."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if host and port.isdecimal():  # Ray itself would try for minutes
+            socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+    except (OSError, OverflowError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        told = f"--ray {address}: no Ray cluster answers: {reason}; start one by `ray start --head`"
+        raise ConfigError(told) from None
 
 
 def _attempt_there(work: Callable[[Any], Any], unit: Any, folder: str) -> tuple[Any, Failure | None, float]:
