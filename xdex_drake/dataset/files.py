@@ -34,6 +34,8 @@ class _Surroundings:
 
     table: float | None = 0.0
     obstacles: tuple[FixtureFacts, ...] = ()
+    p_OOcm: tuple[float, ...] | None = None
+    I_OcmO: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +110,11 @@ def surroundings_entry(scenes: Iterable[SceneFacts]) -> dict[str, str]:
         facts.scene_id: {
             "table": facts.table,
             "obstacles": [to_plain(_findable(obstacle)) for obstacle in facts.obstacles],
+            "p_OOcm": to_plain(facts.p_OOcm),
+            "I_OcmO": to_plain(facts.I_OcmO),
         }
         for facts in scenes
-        if facts.table != 0.0 or facts.obstacles
+        if facts.table != 0.0 or facts.obstacles or facts.p_OOcm is not None
     }
     return {SCENES: json.dumps(unusual, sort_keys=True)} if unusual else {}
 

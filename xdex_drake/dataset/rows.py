@@ -14,6 +14,7 @@ from xdex_drake.hand.description import Hand
 from xdex_drake.hand.heading import object_point
 from xdex_drake.hand.kinematics import forward_kinematics
 from xdex_drake.hand.yaml_file import hand_digest
+from xdex_drake.scene.facts import source_of
 from xdex_drake.scene.object import ObjectModel
 from xdex_drake.scene.tabletop import Scene
 from xdex_drake.simulation.protocol import LIFT, LiftProtocol
@@ -31,7 +32,7 @@ def object_facts(obj: ObjectModel) -> ObjectFacts:
     Returns:
         The facts.
     """
-    path = obj.name if obj.path is None else str(obj.path)
+    path = source_of(obj)
     return ObjectFacts(obj.name, path, obj.digest, obj.scale, obj.mass, obj.friction, obj.p_OOcm, obj.length)
 
 

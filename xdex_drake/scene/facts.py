@@ -11,7 +11,32 @@ from xdex_drake.errors import GraspFileError, XdexError
 
 if TYPE_CHECKING:
     from xdex_drake.scene.fixtures import Fixture
+    from xdex_drake.scene.object import ObjectModel
     from xdex_drake.scene.tabletop import Scene
+
+
+def source_of(model: ObjectModel) -> str:
+    """The name or path by which an object is loaded again.
+
+    Args:
+        model: The object.
+
+    Returns:
+        Name or path.
+
+    Raises:
+        GraspFileError: It was made of a mesh in memory.
+    """
+    from xdex_drake.scene.object import is_built
+
+    if model.path is not None:
+        return str(model.path)
+    if not is_built(model.name):
+        raise GraspFileError(
+            f"object {model.name!r} was made of a mesh in memory, and cannot be found again; write the mesh to a file "
+            "and give its path to load_object"
+        )
+    return model.name
 
 
 @dataclass(frozen=True)
@@ -34,7 +59,7 @@ class FixtureFacts:
     def of(fixture: Fixture) -> FixtureFacts:
         """The facts of an obstacle."""
         thing = fixture.object
-        path = thing.name if thing.path is None else str(thing.path)
+        path = source_of(thing)
         return FixtureFacts(path, thing.digest, thing.scale, tuple(fixture.X_WF.GetAsMatrix34().ravel().tolist()))
 
 
@@ -52,6 +77,8 @@ class SceneFacts:
         scene_id: Identifier of the scene.
         table: Height of the table's top [m], None where there is none.
         obstacles: What is fixed in the world beside the object.
+        p_OOcm: Center of mass, where it was given [m].
+        I_OcmO: Rotational inertia, where it was given, 9 numbers row by row [kg m^2].
     """
 
     object_path: str
@@ -63,16 +90,21 @@ class SceneFacts:
     scene_id: str
     table: float | None = 0.0
     obstacles: tuple[FixtureFacts, ...] = ()
+    p_OOcm: tuple[float, ...] | None = None
+    I_OcmO: tuple[float, ...] | None = None
 
     @staticmethod
     def of(scene: Scene) -> SceneFacts:
         """The facts of a scene; `build` gives it back to the last bit."""
         model = scene.object
-        path = model.name if model.path is None else str(model.path)
+        path = source_of(model)
         pose = tuple(scene.X_WO.GetAsMatrix34().ravel().tolist())
         physics = (model.digest, model.scale, model.mass, model.friction)
         obstacles = tuple(FixtureFacts.of(fixture) for fixture in scene.obstacles)
-        return SceneFacts(path, *physics, pose, scene.scene_id, scene.table, obstacles)
+        given: tuple = (None, None)
+        if model.inertia_given:
+            given = tuple(model.p_OOcm.tolist()), tuple(model.I_OcmO.ravel().tolist())
+        return SceneFacts(path, *physics, pose, scene.scene_id, scene.table, obstacles, *given)
 
     def build(self) -> Scene:
         """Prepares the object and lays it as it lay.
@@ -101,7 +133,14 @@ class SceneFacts:
                 )
             fixtures.append(Fixture(thing, RigidTransform(np.array(facts.X_WF).reshape(3, 4))))
         try:
-            model = load_object(self.object_path, scale=self.scale, mass=self.mass, friction=self.friction)
+            model = load_object(
+                self.object_path,
+                scale=self.scale,
+                mass=self.mass,
+                friction=self.friction,
+                p_OOcm=None if self.p_OOcm is None else np.array(self.p_OOcm),
+                I_OcmO=None if self.I_OcmO is None else np.array(self.I_OcmO).reshape(3, 3),
+            )
         except XdexError as error:
             raise GraspFileError(f"scene {self.scene_id}: its object cannot be found: {error}") from None
         if model.digest != self.digest:

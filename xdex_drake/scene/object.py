@@ -92,6 +92,7 @@ class ObjectModel:
         length: Length that divides torques [m]: root mean square distance of the surface from the center of mass.
         digest: SHA-256 of the scaled mesh.
         report: How the object was prepared.
+        inertia_given: Whether center of mass or inertia are not those of the volume.
     """
 
     name: str
@@ -108,6 +109,7 @@ class ObjectModel:
     length: float
     digest: str
     report: PreparationReport
+    inertia_given: bool = False
 
     def __repr__(self) -> str:
         """One line."""
@@ -161,25 +163,33 @@ class ObjectModel:
 
 
 def load_object(
-    name_or_path: str | Path,
+    name_or_path: str | Path | trimesh.Trimesh | tuple[Array, Faces],
     *,
+    name: str = "",
     scale: float | None = None,
     mass: float = DEFAULT_MASS,
     friction: float = DEFAULT_FRICTION,
     density: float | None = None,
+    p_OOcm: tuple[float, float, float] | Array | None = None,
+    I_OcmO: Array | None = None,
 ) -> ObjectModel:
-    """Prepares an object: a shape of the library, a generated shape, or any mesh file.
+    """Prepares an object: a shape of the library, a generated shape, any mesh file, or a mesh in memory.
 
     Mass is given, and spread evenly over the volume. By a density it is that of the mesh's own volume: of its walls
-    where they are part of the mesh, as those of a cup, or of a wall of 2 mm where the surface is open.
+    where they are part of the mesh, as those of a cup, or of a wall of 2 mm where the surface is open. Where the mass
+    lies otherwise, center of mass and inertia are given too.
 
     Args:
         name_or_path: One of `list_objects()`, the name of a generated shape (`s0-0042`: seed 0, number 42), the sides
-            of a box (`0.06x0.06x0.12`, in metres), or the path of a mesh file.
+            of a box (`0.06x0.06x0.12`, in metres), or the path of a mesh file. A `trimesh.Trimesh`, or vertices (n, 3)
+            and triangles (m, 3), are a mesh in memory; grasps of it can be stored only once it has a file.
+        name: Name of a mesh in memory; of others it is theirs.
         scale: Factor from the mesh file's unit to metres; guessed by the size of a mesh file where None.
         mass: Mass [kg]; unused where `density` is given.
         friction: Coefficient of friction.
         density: Density [kg/m^3], None for the mass as given.
+        p_OOcm: Center of mass in O [m], shape (3,); that of the volume where None.
+        I_OcmO: Rotational inertia about the center of mass, in O [kg m^2], shape (3, 3); that of the volume where None.
 
     Returns:
         The object, with its convex parts.
@@ -193,7 +203,12 @@ def load_object(
             raise ObjectFileError(f"{name_or_path}: {label} is {value}; give a finite number greater than zero")
     if not (math.isfinite(friction) and friction >= 0.0):
         raise ObjectFileError(f"{name_or_path}: friction is {friction}; give a finite number, zero or greater")
-    name, path, mesh = object_mesh(name_or_path, scale=scale)
+    if isinstance(name_or_path, str | Path):
+        called, path, mesh = object_mesh(name_or_path, scale=scale)
+    else:
+        called, path, mesh = name or "mesh", None, _mesh_in_memory(name_or_path, scale, name or "mesh")
+        name_or_path = called
+    given = _checked_inertia(called, p_OOcm, I_OcmO)
     # Far from its origin a surface is worked on near it: volume and inertia would be differences of huge numbers.
     offset = _far_center(mesh.vertices)
     mesh = replace(mesh, vertices=mesh.vertices - offset)
@@ -215,7 +230,8 @@ def load_object(
         mass = density * volume
     wall = 2.0 * volume / float(body.area)
     hull = float(body.convex_hull.volume)
-    p_OOcm = np.asarray(properties.center_mass, dtype=np.float64)
+    center = np.asarray(properties.center_mass, dtype=np.float64) if given[0] is None else given[0] - offset
+    inertia = np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass)
     report = PreparationReport(
         seconds=convex.seconds,
         cached=convex.cached,
@@ -229,21 +245,58 @@ def load_object(
         wall=wall if mesh.shell or (volume < 0.5 * hull and wall < 0.12 * hull ** (1.0 / 3.0)) else None,
     )
     return ObjectModel(
-        name=name,
+        name=called,
         path=path,
         vertices=mesh.vertices + offset,
         faces=mesh.faces,
         parts=tuple((vertices + offset, faces) for vertices, faces in convex.parts),
         surface=(convex.surface[0] + offset, convex.surface[1]),
         mass=mass,
-        p_OOcm=p_OOcm + offset,
-        I_OcmO=np.asarray(properties.inertia, dtype=np.float64) * (mass / properties.mass),
+        p_OOcm=center + offset,
+        I_OcmO=inertia if given[1] is None else given[1],
         friction=friction,
         scale=mesh.scale,
-        length=_surface_radius(*convex.surface, p_OOcm),
+        length=_surface_radius(*convex.surface, center),
         digest=mesh_digest(mesh.vertices + offset, mesh.faces),
         report=report,
+        inertia_given=any(values is not None for values in given),
     )
+
+
+def _mesh_in_memory(mesh: trimesh.Trimesh | tuple[Array, Faces], scale: float | None, name: str) -> TriangleMesh:
+    """The clean mesh of arrays, which are in metres unless a scale says otherwise."""
+    vertices, faces = (mesh.vertices, mesh.faces) if isinstance(mesh, trimesh.Trimesh) else mesh
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ObjectFileError(
+            f"{name}: vertices have shape {vertices.shape} and faces {faces.shape}; give (n, 3) and (m, 3)"
+        )
+    if not np.issubdtype(faces.dtype, np.integer):
+        raise ObjectFileError(f"{name}: faces are of type {faces.dtype}; give whole numbers, indices of vertices")
+    try:
+        return replace(clean_mesh(vertices * (scale or 1.0), faces.astype(np.int64)), scale=scale or 1.0)
+    except ObjectFileError as error:
+        raise ObjectFileError(f"{name}: {error}") from None
+
+
+def _checked_inertia(
+    name: str, p_OOcm: tuple[float, float, float] | Array | None, I_OcmO: Array | None
+) -> tuple[Array | None, Array | None]:
+    """A center of mass and an inertia that a body can have."""
+    center = None if p_OOcm is None else np.asarray(p_OOcm, dtype=np.float64)
+    if center is not None and (center.shape != (3,) or not np.isfinite(center).all()):
+        raise ObjectFileError(f"{name}: p_OOcm is {p_OOcm}; give three finite numbers")
+    if I_OcmO is None:
+        return center, None
+    inertia = np.asarray(I_OcmO, dtype=np.float64)
+    moments = np.linalg.eigvalsh(inertia) if inertia.shape == (3, 3) and np.isfinite(inertia).all() else np.zeros(3)
+    sound = np.allclose(inertia, inertia.T) and moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1 - 1e-9)
+    if inertia.shape != (3, 3) or not sound:
+        raise ObjectFileError(
+            f"{name}: I_OcmO is the inertia of no body; give a symmetric (3, 3) in kg m^2 whose moments are positive, "
+            "none above the sum of the others"
+        )
+    return center, inertia
 
 
 def object_mesh(name_or_path: str | Path, *, scale: float | None = None) -> tuple[str, Path | None, TriangleMesh]:
@@ -277,6 +330,11 @@ def _built(name: str) -> tuple[Array, Faces] | None:
         return generated_mesh(name)
     sides = box_sides(name)
     return None if sides is None else box_mesh(sides)
+
+
+def is_built(name: str) -> bool:
+    """Whether a name alone stands for an object."""
+    return name in list_objects() or is_shape_name(name) or box_sides(name) is not None
 
 
 def check_object_name(name_or_path: str | Path) -> None:

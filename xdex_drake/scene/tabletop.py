@@ -143,8 +143,13 @@ def _surrounded(
             raise ConfigError(
                 f"obstacle {fixture.object.name}: it is {1e3 * depth:.0f} mm inside of {object.name}; move it away"
             )
-    if table != 0.0 or obstacles:
-        seen = [repr(table), *(f"{f.object.digest} {np.round(f.X_WF.GetAsMatrix34(), 9).tolist()}" for f in obstacles)]
+    if table != 0.0 or obstacles or object.inertia_given:
+        mass = [repr((object.p_OOcm.tolist(), object.I_OcmO.tolist()))] if object.inertia_given else []
+        seen = [
+            repr(table),
+            *mass,
+            *(f"{f.object.digest} {np.round(f.X_WF.GetAsMatrix34(), 9).tolist()}" for f in obstacles),
+        ]
         mark += "-w" + hashlib.sha256("\n".join(seen).encode()).hexdigest()[:8]
     return Scene(object, X_WO, f"{object.name}-{object.digest[:8]}-{mark}", table, tuple(obstacles))
 
