@@ -78,4 +78,4 @@ def test_a_page_of_many_hands_is_light() -> None:
     base = len(browser_page(hands[:1]))
     # Thirty hands stay below 3 MB.
     each = (len(page) - base) / 5
-    assert np.isfinite(each) and 900_000 + 30 * each < 3_000_000
+    assert np.isfinite(each) and base + 29 * each < 3_000_000

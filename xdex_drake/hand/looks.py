@@ -69,7 +69,7 @@ class Detail:
 FINE = Detail(part=5, body=7, palm=13, drum=16)
 """For a page of a few hands: some 12 000 triangles a hand."""
 
-COARSE = Detail(part=3, body=5, palm=7, drum=10)
+COARSE = Detail(part=3, body=4, palm=7, drum=8)
 """For a page of many hands: some 4000 triangles a hand."""
 
 
@@ -127,7 +127,7 @@ def surface_obj(surfaces: Sequence[Surface]) -> str:
     lines, first = [], 1
     for surface in surfaces:
         lines += [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in surface.vertices.tolist()]
-        lines += [f"vn {x:.3f} {y:.3f} {z:.3f}" for x, y, z in surface.normals.tolist()]
+        lines += [f"vn {x:.2f} {y:.2f} {z:.2f}" for x, y, z in surface.normals.tolist()]
         lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (surface.faces + first).tolist()]
         first += len(surface.vertices)
     return "\n".join(lines) + "\n"
