@@ -8,8 +8,8 @@ It writes packages.csv; a line whose hand is the same as before keeps its grasps
 The hands have at least two moving fingers, and are none of those of the library's five makers, of MuJoCo Menagerie or
 of dex-urdf. The table's directions were read off the drawings: along the stretched fingers, and to where they close;
 x_H of a gripper may point to either jaw. Couplings are those that the file states: tiago's, for one, states none.
-packages.csv lacks the hands, and the grasps, that were not run yet; its limit was 300 s for the first five and 150 s for the others,
-on a machine so busy that these gave a hand some 20 s of processor time.
+packages.csv lacks the hands, and the grasps, that were not run yet; its limit was 300 s for the first five and 150 s
+for the others, on a machine so busy that these gave a hand some 20 s of processor time.
 """
 
 import argparse
