@@ -175,9 +175,9 @@ def meshes(path: Path) -> str:
 
 
 @row(
-    "draws of the small model that ships, refined: lifted of drawn (can)",
+    "draws of the small model that ships, refined: lifted of drawn (can, bottle)",
     "predictions/results.csv",
-    "python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can",
+    "python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can,bottle",
 )
 def predictions(path: Path) -> str:
     """Predictions."""

@@ -3,7 +3,7 @@
 `one start` polishes each draw as it is, and after a descent; `refined` adds eight jittered starts, some with other
 fingers, all in one batch; `raw` is inverse kinematics and the squeeze rule.
 
-The shipped results: python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can
+The shipped results: python studies/predictions/run.py studies/predictions/results.csv --count 8 --objects can,bottle
 """
 
 import argparse
