@@ -15,6 +15,7 @@
 
 # %%
 import numpy as np
+from PIL import Image
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -31,6 +32,8 @@ import xdex_drake as xd
 hand, scene = xd.load_hand("allegro"), xd.make_scene(xd.load_object("can"))
 grasp = next(g for g in xd.synthesize(hand, scene, count=1) if g.lift.success)
 print(grasp)
+if xd.can_see():
+    Image.fromarray(xd.render_grasp(grasp, hand, scene, size=(640, 480))).save("grasp.png")
 
 # %% [markdown]
 # ## Twenty lines of your own

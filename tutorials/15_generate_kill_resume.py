@@ -22,6 +22,10 @@ import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
+from PIL import Image
+
+import xdex_drake as xd
+from xdex_drake.visualization.pictures import contact_sheet
 
 # %% [markdown]
 # ## What is to be made
@@ -98,6 +102,12 @@ for hand in sorted({row["hand"] for row in rows}):
     mine = [row for row in rows if row["hand"] == hand]
     print(f"{hand}: {len(mine)} grasps, {sum(row['success'] for row in mine)} lifted")
 print("meaning of q_squeeze:", table.schema.field("q_squeeze").metadata[b"meaning"].decode())
+if xd.can_see():
+    stored = xd.load_grasps(min(shards.glob("[!.]*.parquet")))[:4]
+    pictures = [xd.render_grasp(one.grasp, one.hand, one.scene) for one in stored]
+    Image.fromarray(contact_sheet(pictures, [f"{one.hand.name}, {one.row['object']}" for one in stored])).save(
+        "pairs.png"
+    )
 
 # %% [markdown]
 # ## Send, and spread
