@@ -195,7 +195,11 @@ def test_ctrl_c_before_anything_is_finished_leaves_nothing(tmp_path):
     command = [sys.executable, "-m", "xdex_drake", *words]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stderr is not None
-    said = process.stderr.read(20)  # the progress bar: work has begun
+    said = ""
+    while "allegro can:" not in said:  # the progress bar: work has begun
+        more = process.stderr.read(1)
+        assert more, said
+        said += more
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err

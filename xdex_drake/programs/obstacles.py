@@ -274,7 +274,7 @@ def thicknesses(vertices: Array, faces: NDArray[np.int64], *, count: int = 300, 
             across = cross(p - a, b - a)
             v = across @ d / volume
             way = np.einsum("ij,ij->i", c - a, across) / volume
-        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 1e-6)
+            hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 1e-6)
         thin[k] = way[hit].min(initial=np.inf)
     return thin
 
