@@ -129,7 +129,9 @@ def test_every_constraint_of_our_programs_has_its_words():
     program = force_closure_program(
         load_hand("allegro"), make_scene(load_object("can")), approach=settings.approach, search_settings=settings
     )
-    assert {block.name for block in program.constraints} == set(CONSTRAINT_WORDS)
+    names = {block.name for block in program.constraints}
+    # A scene without obstacles, no part of the object asked for, and no prediction to stay near.
+    assert names == set(CONSTRAINT_WORDS) - {"obstacle", "region", "reach"}
 
 
 def test_reasons_are_put_in_words():

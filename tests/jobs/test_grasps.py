@@ -2,6 +2,7 @@
 
 import math
 import os
+from types import SimpleNamespace
 
 import pytest
 
@@ -39,7 +40,8 @@ def test_input_that_cannot_be_used_is_an_error_of_ours(workers):
     [(FailureKind.CRASHED, 0, "simulation_failed"), (FailureKind.TIMEOUT, 3, "timeout")],
 )
 def test_a_lost_lift_has_failed(kind, robust, reason):
-    unit = LiftUnit(0, None, None, "allegro", robust=robust)  # type: ignore[arg-type]
+    table = SimpleNamespace(table=0.0)
+    unit = LiftUnit(0, None, table, "allegro", robust=robust)  # type: ignore[arg-type]
     verdict = lost_lift(unit, Failure(kind, "what happened"))
     assert not verdict.success and verdict.failure_reason == reason and math.isnan(verdict.lift_height_m)
     assert verdict.protocol == ("robust:lift-0.2/2tips" if robust else "lift-0.2/2tips")

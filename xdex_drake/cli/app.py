@@ -10,7 +10,7 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol, cast, get_type_hints
 
 from xdex_drake.errors import XdexError
 
@@ -171,8 +171,7 @@ def _parse(name: str, words: list[str]) -> Command | int:
 
 def _unknown_option(command: type, words: list[str]) -> str | None:
     """What to say of the first option that a command does not have; None where it has all of them."""
-    names = [field.name.replace("_", "-") for field in dataclasses.fields(command)]
-    options = ["--help", *(f"--{name}" for name in names)]
+    options = ["--help", *(f"--{name}" for name in _option_names(command))]
     for word in words:
         if word == "--":
             return None
@@ -185,6 +184,16 @@ def _unknown_option(command: type, words: list[str]) -> str | None:
         mend = f"did you mean {close[0]}?" if close else f"known are {', '.join(options)}"
         return f"there is no option {typed}; {mend}"
     return None
+
+
+def _option_names(command: type) -> list[str]:
+    """Names of a command's options: of its fields, or as an annotation has them where Python reserves the word."""
+    hints = get_type_hints(command, include_extras=True)
+    names = []
+    for field in dataclasses.fields(command):
+        given = [getattr(note, "name", None) for note in getattr(hints[field.name], "__metadata__", ())]
+        names.append(next((name for name in given if name), field.name).replace("_", "-"))
+    return names
 
 
 def _one_line(box: str) -> str:

@@ -155,6 +155,7 @@ class GraspCommand:
         from xdex_drake.jobs.grasps import GraspRequest, synthesize_batches
         from xdex_drake.programs.obstacles import sizes
         from xdex_drake.programs.search import SearchSettings, places_in
+        from xdex_drake.programs.search.settings import check_approach
         from xdex_drake.programs.terms import FIRM
         from xdex_drake.scene.facts import SceneFacts
 
@@ -165,6 +166,8 @@ class GraspCommand:
             approach=self.approach,
             region=region,
         )
+        if scene.table is not None:
+            check_approach(self.approach)
         if region is not None:
             places_in(scene, region)
         preparation = time.perf_counter() - begin

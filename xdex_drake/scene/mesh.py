@@ -86,6 +86,20 @@ def guess_scale(extent: float) -> tuple[float, str]:
     raise ObjectFileError(f"is {extent:.3g} units across, an object in no usual unit; set the scale to metres")
 
 
+def check_scale(scale: float | None, what: object) -> None:
+    """Refuses a scale that is no finite number greater than zero.
+
+    Args:
+        scale: The scale; None is guessed and passes.
+        what: The object, for the message.
+
+    Raises:
+        ObjectFileError: It is none.
+    """
+    if scale is not None and not (math.isfinite(scale) and scale > 0.0):
+        raise ObjectFileError(f"{what}: scale is {scale}; give a finite number greater than zero")
+
+
 def read_mesh(path: str | Path, *, scale: float | None = None) -> TriangleMesh:
     """Reads a mesh file, merges what belongs together and turns the surface outwards.
 
@@ -104,8 +118,7 @@ def read_mesh(path: str | Path, *, scale: float | None = None) -> TriangleMesh:
         ObjectFileError: The file is missing, is not a mesh, or holds no usable triangles.
     """
     path, body = body_of_path(Path(path))
-    if scale is not None and not (math.isfinite(scale) and scale > 0.0):
-        raise ObjectFileError(f"{path}: scale is {scale}; give a finite number greater than zero")
+    check_scale(scale, path)
     vertices, faces = read_triangles(path, ObjectFileError, max_bytes=MAX_BYTES)
     said = ""
     try:

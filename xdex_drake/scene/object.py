@@ -19,7 +19,7 @@ from xdex_drake.scene.convex_parts import convex_parts, mesh_digest, read_cache,
 from xdex_drake.scene.distance import DistanceGrid, ExactDistance, Part, build_grid, sample_surface
 from xdex_drake.scene.generator import generated_mesh, is_shape_name
 from xdex_drake.scene.hulls import convex_hull
-from xdex_drake.scene.mesh import TriangleMesh, body_of_path, clean_mesh, read_mesh
+from xdex_drake.scene.mesh import TriangleMesh, body_of_path, check_scale, clean_mesh, read_mesh
 from xdex_drake.scene.procedural import box_mesh, box_sides, list_objects, procedural_mesh
 
 Faces = NDArray[np.int64]
@@ -316,6 +316,7 @@ def object_mesh(name_or_path: str | Path, *, scale: float | None = None) -> tupl
     check_object_name(name_or_path)
     text = str(name_or_path)
     if isinstance(name_or_path, str) and (built := _built(text)) is not None:
+        check_scale(scale, text)
         return text, None, replace(clean_mesh(built[0] * (scale or 1.0), built[1]), scale=scale or 1.0)
     path = Path(name_or_path)
     mesh = read_mesh(path, scale=scale)
