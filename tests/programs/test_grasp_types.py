@@ -80,7 +80,7 @@ def test_the_search_obeys(kind, allegro, can_scene):
         found.fingers[0],
         settings=PolishSettings(),
         extra_costs=wishes(settings),
-        extra_constraints=conditions(settings),
+        extra_constraints=conditions(settings, int(found.fingers[0].sum())),
     )
     assert "spread" in {cost.name for cost in program.costs}
     assert "palm direction" in {block.name for block in program.constraints}
@@ -171,7 +171,7 @@ def test_the_cone_agrees_with_differences_and_refuses_what_is_no_direction(alleg
         with pytest.raises(ConfigError, match="three numbers"):
             SearchSettings(approach=wrong)
     with pytest.raises(ConfigError, match="below the table"):
-        SearchSettings(approach=(0.0, 0.0, 1.0))
+        search(allegro, can_scene, count=1, settings=SearchSettings(approach=(0.0, 0.0, 1.0)))
     with pytest.raises(ConfigError, match="between -1 and 1"):
         approach_block(ABOVE, least=1.0)
 

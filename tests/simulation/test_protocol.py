@@ -55,7 +55,7 @@ def test_protocols_are_found_by_name():
     assert list(PROTOCOLS)[:5] == ["lift-0.2/2tips", "hold", "frogger-lift", "bench-lift", "lift-0.5-like"]
     without_weight = ["bench-fc", "push-6-weak", "grav-6-all", "grav-6-any", "shake-6-like"]
     assert [name for name, protocol in PROTOCOLS.items() if isinstance(protocol, PushProtocol)] == without_weight
-    assert all(protocol.differs for name, protocol in PROTOCOLS.items() if name not in (LIFT.name, "hold"))
+    assert all(protocol.differs for name, protocol in PROTOCOLS.items() if name not in (LIFT.name, "hold", "release"))
     with pytest.raises(ConfigError, match="did you mean bench-lift"):
         find_protocol("bench-lft")
     with pytest.raises(ConfigError, match="use one of"):
