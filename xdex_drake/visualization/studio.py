@@ -312,7 +312,7 @@ class Studio:
         assert self._hand is not None and self._scene is not None
         hand, scene = self._hand, self._scene
         self._clear()
-        draw_table(self.meshcat, scene.X_WO.translation())
+        draw_table(self.meshcat, [scene], scene.X_WO.translation())
         if self._grasp is not None:
             draw_certified(self.meshcat, "/drake/scene", self._grasp, hand, scene, COARSE)
             blobs = hand_blobs(hand, self._grasp.X_WH, self._grasp.q)
