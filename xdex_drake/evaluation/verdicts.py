@@ -123,12 +123,12 @@ def judge(
         return verdict(found.stage, found.sample, grasp, "", found.seconds), grasp
 
     if "raw" in stages:
-        few = _first(raw, judged)
+        few = raw.take(slice(judged))
         for found in finished("raw", raw_candidates(hand, scene, few), 0.0):
             yield lifted(*found)
     if "refined" not in stages and "best" not in stages:
         return
-    some = raw if "best" in stages else _first(raw, judged)
+    some = raw if "best" in stages else raw.take(slice(judged))
     begin = time.process_time()
     starts = refined_starts(hand, scene, some, seed=seed)
     share = (time.process_time() - begin) / len(some.energy)
@@ -142,10 +142,6 @@ def judge(
     if "refined" in stages:
         for found in refined[:judged]:
             yield lifted(*found)
-
-
-def _first(raw: Candidates, count: int) -> Candidates:
-    return Candidates(raw.R_WHs[:count], raw.p_WHs[:count], raw.qs[:count], raw.fingers[:count], raw.energy[:count], {})
 
 
 def write_verdicts(path: Path, verdicts: Sequence[Verdict]) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
 from xdex_drake.arrays import Array
@@ -190,7 +189,7 @@ def refined_starts(
         rows = np.arange(k * each, (k + 1) * each)
         rows = np.append(rows[0], rows[1:][np.argsort(found.energy[rows[1:]], kind="stable")])
         near = rows[np.linalg.norm(found.p_WHs[rows] - raw.p_WHs[k], axis=1) <= REACH]
-        starts.append(_joined([_rows(raw, np.array([k])), _rows(found, near)]))
+        starts.append(_joined([raw.take(slice(k, k + 1)), found.take(near)]))
     return starts
 
 
@@ -203,10 +202,6 @@ def _joined(parts: Sequence[Candidates]) -> Candidates:
         energy=np.concatenate([part.energy for part in parts]),
         terms={},
     )
-
-
-def _rows(found: Candidates, rows: NDArray[np.int64]) -> Candidates:
-    return Candidates(found.R_WHs[rows], found.p_WHs[rows], found.qs[rows], found.fingers[rows], found.energy[rows], {})
 
 
 @dataclass(frozen=True)

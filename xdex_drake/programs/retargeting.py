@@ -152,9 +152,7 @@ def refined_starts(
     starts = jittered_starts(target, X_WH, q, fingers, rng, retry=retry, contacts=settings.contacts)
     found = refine(target, scene, starts, settings=settings)
     order = np.concatenate([[0], 1 + np.argsort(found.energy[1:], kind="stable")]).astype(int)
-    return Candidates(
-        found.R_WHs[order], found.p_WHs[order], found.qs[order], found.fingers[order], found.energy[order], {}
-    )
+    return found.take(order)
 
 
 def jittered_starts(

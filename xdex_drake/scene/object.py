@@ -198,7 +198,7 @@ def load_object(
         UnknownObject: The library has no such shape.
         ObjectFileError: The mesh file or a number cannot be used.
     """
-    for label, value in (("scale", scale), ("mass", mass), ("density", density)):
+    for label, value in (("mass", mass), ("density", density)):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ObjectFileError(f"{name_or_path}: {label} is {value}; give a finite number greater than zero")
     if not (math.isfinite(friction) and friction >= 0.0):
@@ -265,6 +265,7 @@ def load_object(
 
 def _mesh_in_memory(mesh: trimesh.Trimesh | tuple[Array, Faces], scale: float | None, name: str) -> TriangleMesh:
     """The clean mesh of arrays, which are in metres unless a scale says otherwise."""
+    check_scale(scale, name)
     vertices, faces = (mesh.vertices, mesh.faces) if isinstance(mesh, trimesh.Trimesh) else mesh
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:

@@ -32,6 +32,12 @@ class Candidates:
     energy: Array
     terms: dict[str, Array]
 
+    def take(self, rows: NDArray[np.int64] | slice) -> Candidates:
+        """Some of the candidates, in the order given."""
+        terms = {name: values[rows] for name, values in self.terms.items()}
+        fingers, energy = self.fingers[rows], self.energy[rows]
+        return Candidates(self.R_WHs[rows], self.p_WHs[rows], self.qs[rows], fingers, energy, terms)
+
     def __repr__(self) -> str:
         """One line."""
         energy = f"energy {self.energy.min():.3g} to {self.energy.max():.3g}" if len(self.energy) else "none"
